@@ -8,8 +8,8 @@ splat, so that nothing is shared between threads and sums do not depend on how m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -97,25 +97,28 @@ def contributions(
 
 def contributions_and_footprints(
     gaussians: Gaussians,
-    camera: Camera,
+    cameras: Iterable[Camera],
     settings: RenderSettings | None = None,
     *,
     threads: int | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Each splat's sum of contributions to a picture, (N,) float64, and what it would be with nothing before
-    the splat: the integral of its alpha, times the share of its box that is in the picture."""
-    total = np.zeros(len(gaussians))
-    _, arranged = _add_contributions(gaussians, camera, settings, None, threads, Workspace(), total)
-    visible = np.concatenate([arranged.visible[start:stop] for start, stop in arranged.runs])
-    records = arranged.records[visible].astype(np.float64)
-    inside = np.ones(len(visible))
-    for at, extent, size in ((X, RX, camera.width), (Y, RY, camera.height)):
-        middle, half = records[:, at], np.maximum(records[:, extent], 1e-9)
-        inside *= np.clip((np.minimum(middle + half, size) - np.maximum(middle - half, 0)) / (2 * half), 0, 1)
-    areas = np.pi / math.log(2) / (records[:, A] * records[:, C])
-    footprints = np.zeros(len(gaussians))
-    footprints[visible] = 2 ** records[:, LOG2_OPACITY] * areas * inside
-    return total, footprints
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """For each camera in turn each splat's sum of contributions to its picture, (N,) float64, and what it
+    would be with nothing before the splat: the integral of its alpha, times the share of its box that is in
+    the picture."""
+    workspace, colourless = Workspace(), replace(settings or RenderSettings(), sh_degree=0)
+    for camera in cameras:
+        total, footprints = np.zeros(len(gaussians)), np.zeros(len(gaussians))
+        _, arranged = _add_contributions(gaussians, camera, colourless, None, threads, workspace, total)
+        visible = np.concatenate([arranged.visible[start:stop] for start, stop in arranged.runs])
+        records = arranged.records[visible].astype(np.float64)
+        inside = np.ones(len(visible))
+        for at, extent, size in ((X, RX, camera.width), (Y, RY, camera.height)):
+            middle, half = records[:, at], np.maximum(records[:, extent], 1e-9)
+            shown = np.minimum(middle + half, size) - np.maximum(middle - half, 0)
+            inside *= np.clip(shown / (2 * half), 0, 1)
+        areas = np.pi / math.log(2) / (records[:, A] * records[:, C])
+        footprints[visible] = 2 ** records[:, LOG2_OPACITY] * areas * inside
+        yield total, footprints
 
 
 def dominant_splats(

@@ -103,13 +103,15 @@ def worth_keeping(
 ) -> np.ndarray:
     """(N,) bool: the splats that photos show so much of; see `TrainSettings.least_shown` and
     `TrainSettings.least_visibility`."""
-    total, whole = np.zeros(len(scene)), np.zeros(len(scene))
+    total, whole, cameras = np.zeros(len(scene)), np.zeros(len(scene)), []
     for view in views:
         camera = view.camera
         factor = math.ceil(math.sqrt(camera.width * camera.height / COUNTED_PIXELS))
         if factor > 1:
             camera = camera.resized(max(camera.width // factor, 1), max(camera.height // factor, 1))
-        pixels, footprints = contributions_and_footprints(scene, camera, settings, threads=threads)
+        cameras.append(camera)
+    found = contributions_and_footprints(scene, cameras, settings, threads=threads)
+    for camera, (pixels, footprints) in zip(cameras, found, strict=True):
         total += pixels / (camera.width * camera.height)
         whole += footprints / (camera.width * camera.height)
     kept = total >= least_shown

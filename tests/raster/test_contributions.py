@@ -68,7 +68,7 @@ def test_footprints_are_contributions_with_nothing_before(random_gaussians):
     small = np.minimum(scene.log_scales, np.float32(-2))  # so that none meets the border
     scene = replace(scene, means=scene.means * np.float32(0.4), log_scales=small)
     camera = look_at((0.2, -0.1, -2.2), (0, 0, 0), width=80, height=60)
-    total, footprints = contributions_and_footprints(scene, camera)
+    ((total, footprints),) = contributions_and_footprints(scene, [camera])
     np.testing.assert_array_equal(total, contributions(scene, [camera]))
     alone = np.array([contributions(scene.take(np.array([row])), [camera])[0] for row in range(len(scene))])
     cut = footprints / 255 / np.exp(-np.logaddexp(0, -scene.opacity_logits.astype(np.float64)))
@@ -82,9 +82,11 @@ def test_footprints_end_where_pictures_do(random_gaussians):
     scene = replace(scene, means=np.zeros_like(scene.means), log_scales=np.full_like(scene.means, -1.5))
     camera = look_at((0, 0, -2.2), (0, 0, 0), width=81, height=61)
     left = replace(camera, width=41, cx=camera.cx)
-    (whole,), (half,) = (contributions_and_footprints(scene, view)[1] for view in (camera, left))
+    (whole,), (half,) = (found[1] for found in contributions_and_footprints(scene, [camera, left]))
     assert half == pytest.approx(whole / 2, rel=0.05)
-    assert all(len(array) == 0 for array in contributions_and_footprints(scene.take(slice(0)), camera))
+    assert all(
+        len(array) == 0 for array in next(contributions_and_footprints(scene.take(slice(0)), [camera]))
+    )
 
 
 @given(
