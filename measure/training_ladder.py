@@ -57,7 +57,6 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
     *_rungs("exposure", off={"exposure": "off"}, on={"exposure": "on"}),
     *_rungs("opacity of photos", "transparent photos", not_taught={"alpha_weight": 0.0}),
-    *_rungs("density", by_errors_too={"error_views": 8}),
     *_rungs("sky", "a sky", off={"sky": "off"}),
     *_rungs("free space", "points that photos show", off={"free_space": 0.0}),
     *_rungs("unseen splats", stay={"least_shown": 0.0}),

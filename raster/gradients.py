@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatview.raster.backward import D_BLUE, D_RED, SUMS, differentiate_tiles, gather_pairs
+from splatview.raster.backward import SUMS, differentiate_tiles, gather_pairs
 from splatview.raster.compiling import TASKS_PER_THREAD, run
 from splatview.raster.frame import Frame, StageClock, bands_of, tile_ranges
 from splatview.raster.parameters import NO_SHARE, Parameters, describe
@@ -82,20 +82,6 @@ def differentiate(
         pose=pose,
         milliseconds=clock.milliseconds,
     )
-
-
-def weighted_contributions(frame: Frame, weights: np.ndarray) -> np.ndarray:
-    """(N, 3): the sum over pixels of each splat's contribution, alpha·T, times `weights` (H, W, 3) in the
-    picture's dtype; 0 for splats that are not visible. A contribution is the gradient of the colour by the
-    splat's, so that this is a backward pass as far as footprints; the frame is as in `differentiate`."""
-    d_image = np.zeros_like(frame.image)
-    d_image[..., :3] = weights
-    found, _ = _splat_sums(frame, d_image, StageClock())
-    sums = np.zeros((len(found), 3), found.dtype)
-    for start, stop in frame.runs:
-        visible = frame.visible[start:stop]
-        sums[visible] = found[visible, D_RED : D_BLUE + 1]
-    return sums
 
 
 def _splat_sums(frame: Frame, d_image: np.ndarray, clock: StageClock) -> tuple[np.ndarray, np.ndarray]:

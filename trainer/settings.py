@@ -15,7 +15,6 @@ from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.adam_kernels import REST_DIVISOR, Rates
-from splatview.trainer.consistency import ERROR_VIEWS
 from splatview.trainer.free_space import FREE_SPACE, LEAST_SHOWN, LEAST_VISIBILITY
 from splatview.trainer.loss import SSIM_WEIGHT
 from splatview.trainer.strategies import STRATEGIES, StrategySettings
@@ -224,9 +223,6 @@ class TrainSettings(StrategySettings):
     least_visibility: float = LEAST_VISIBILITY
     """Share of what a splat would contribute to the photos with nothing before it, that it must contribute,
     or it goes too; 0: what hides behind others may stay. See `free_space`."""
-    error_views: int = ERROR_VIEWS
-    """mcmc: photos by which density control judges, each time, where the scene is wrong; 0: it goes by
-    opacity alone. See `consistency`."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -262,8 +258,6 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"strategy must be one of {', '.join(STRATEGIES)}, got {self.strategy!r}")
         if not 0 <= self.sh_degree < len(SH_COEFFICIENTS):
             raise ValueError(f"sh_degree must be 0 to 3, got {self.sh_degree}")
-        if not self.error_views >= 0:
-            raise ValueError(f"error_views must be at least 0, got {self.error_views}")
         if not 0 <= self.seed < 2**63:
             raise ValueError(f"seed must be at least 0 and below 2**63, got {self.seed}")
 
@@ -314,7 +308,6 @@ WITHOUT_WORD = {
     "full_reg_loss": 0.0,
     "sky": "off",
     "free_space": 0.0,
-    "error_views": 0,
     "least_shown": 0.0,
     "least_visibility": 0.0,
 }

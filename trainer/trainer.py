@@ -17,7 +17,6 @@ from splatview.raster.frame import StageClock
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import Crop, cropped_in
 from splatview.trainer.adam import SelectiveAdam
-from splatview.trainer.consistency import error_rates
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
@@ -234,11 +233,9 @@ class Trainer:
                 self.exposures.step(progress, settings.batch)
         with clock.stage("density"):
             self._clear_free_space(info)
-            self._note_errors(progress)
             self.strategy.step_post_backward(
                 splats, optimizer, self.state, counters.iteration, info, progress=progress
             )
-            self.state.pop("error_rates", None)
             restore(splats.arrays, self.state, held)
             self._cut()
             self._drop_unseen(progress)
@@ -420,31 +417,6 @@ class Trainer:
                 for indices in info.pieces:
                     wrong = standing_before(arrays.means, indices, view.camera, depth)
                     arrays.opacity_logits[wrong] = GONE
-
-    def _note_errors(self, progress: float) -> None:
-        """Where the scene is wrong, for a strategy that is about to refine it; see `consistency`."""
-        settings, iteration, strategy = self.settings, self.counters.iteration, self.strategy
-        asked = strategy.draws_by_error and self.loss is None and settings.error_views > 0
-        if not (asked and strategy.is_due(self.state, iteration, progress)):
-            return
-        rng = np.random.default_rng([settings.seed, iteration, 3])
-        views = self.views.sized(self.downscale)
-        chosen = rng.choice(len(views), min(settings.error_views, len(views)), replace=False)
-
-        def exposed(image: np.ndarray, view: TrainView) -> np.ndarray:
-            if not self.exposures.is_on:
-                return image[..., :3]
-            exposure = torch.from_numpy(self.exposures.of(view.camera.name))
-            behind = None if view.alpha is None else settings.background
-            return expose(torch.from_numpy(image), exposure, behind, self.threads).numpy()[..., :3]
-
-        self.state["error_rates"] = error_rates(
-            self.splats.arrays,
-            [views[row] for row in chosen],
-            self.render_settings,
-            exposed,
-            threads=self.threads,
-        )
 
     def _drop_unseen(self, progress: float) -> None:
         """Takes out what no photo shows once density control has ended, and at the end of the run; but for

@@ -39,9 +39,6 @@ in place of 29.79 dB on `miku`, 28.55 and 28.50 on `banana`, 38.37 and 38.48 on 
 and 33.45 on `skull RGBA 100`; with 0.05 `banana` 26.89, `skull RGBA 100` 31.88. To move them until 0.8 of
 the run, not until half of it, changes nothing: 29.78, 28.51, 38.51 and 33.54 dB."""
 
-LEAST_RATE = 1e-6
-"""Error rate of splats that no photo was asked about: they are drawn where there are no others."""
-
 MOST_COPIES = 51
 """A splat is shared among at most so many."""
 
@@ -101,10 +98,7 @@ class MCMCSettings(DensitySettings):
 
 
 class MCMCStrategy(Strategy[MCMCSettings]):
-    """Moves the dead to the living, and adds copies of the living: drawn by opacity, and where the state has
-    "error_rates" (N,) by that times how wrong pictures are there, see `trainer.consistency`."""
-
-    draws_by_error = True
+    """Moves the dead to the living, and adds copies of the living."""
 
     def __init__(self, settings: MCMCSettings | None = None) -> None:
         super().__init__(settings or MCMCSettings())
@@ -165,7 +159,7 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         rng: np.random.Generator,
     ) -> None:
         """Moves the dead, and adds splats up to the number due at this share of the run."""
-        parameters, rates = splats.arrays, state.get("error_rates")
+        parameters = splats.arrays
         opacities = opacities_of(parameters)
         living = (opacities > DEAD) & ~invalid_splats(parameters)
         dead = np.flatnonzero(~living)
@@ -175,12 +169,10 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         if len(alive) == 0:
             return
         if len(dead):
-            sources, copies = self.draw(parameters, opacities, rates, alive, len(dead), rng)
+            sources, copies = self._draw(parameters, opacities, alive, len(dead), rng)
             for array, values in zip(parameters, copies, strict=True):
                 array[sources] = values
                 array[dead] = values
-            if rates is not None:
-                rates[dead] = rates[sources]
             splats.renumber(dead)
             for group in (optimizer.first, optimizer.second):
                 for array in group:
@@ -191,7 +183,7 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         if missing > 0:
             opacities = opacities_of(parameters)
             growing = may_grow(state, self.settings.no_growth, parameters.means)
-            sources, copies = self.draw(parameters, opacities, rates, np.flatnonzero(growing), missing, rng)
+            sources, copies = self._draw(parameters, opacities, np.flatnonzero(growing), missing, rng)
             for array, values in zip(parameters, copies, strict=True):
                 array[sources] = values
             append(splats, optimizer, state, copies)
@@ -205,17 +197,15 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         limit = max(settings.max_splats, initial)
         return round(initial * (limit / initial) ** share)
 
-    def draw(
+    def _draw(
         self,
         parameters: Parameters,
         opacities: np.ndarray,
-        rates: np.ndarray | None,
         candidates: np.ndarray,
         count: int,
         rng: np.random.Generator,
     ) -> tuple[np.ndarray, Parameters]:
-        """Draws `count` candidates by opacity and error rate: indices (count,), and what each and its copies
-        become.
+        """Draws `count` candidates by opacity: indices (count,), and what each and its copies become.
 
         Dropped, a minute of the bench at half its size on `banana` and `biker front 24`, which score 28.71
         and 42.86 dB: to draw by error, as the rms gradient of the colour (27.05, 42.82), that times the
@@ -223,8 +213,6 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         the size (28.59, 42.79).
         """
         weights = opacities[candidates]
-        if rates is not None and (rates[candidates] > 0).any():
-            weights = weights * np.maximum(rates[candidates], LEAST_RATE)
         drawn = candidates[rng.choice(len(candidates), size=count, p=weights / weights.sum())]
         copies = np.minimum(np.bincount(drawn, minlength=len(opacities))[drawn] + 1, MOST_COPIES)
         opacity, shrink = shared(opacities[drawn], copies)

@@ -71,9 +71,6 @@ class Strategy(ABC, Generic[Settings]):
     `step_pre_backward` for each of them, and `step_post_backward` once, with a `Visibility` of them all.
     """
 
-    draws_by_error = False
-    """Whether `refine` looks at "error_rates" (N,) of the state, which the trainer puts there before."""
-
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         """May be replaced between steps."""
@@ -107,19 +104,14 @@ class Strategy(ABC, Generic[Settings]):
     ) -> None:
         """After the optimiser's step: refines the scene where that is due."""
         settings = self.settings
-        if self.is_due(state, step, progress):
-            rng = np.random.default_rng([settings.seed, step, 1])
-            self.refine(splats, optimizer, state, progress, rng)
-            state["refined_at"], state["refined_progress"] = step, progress
-
-    def is_due(self, state: State, step: int, progress: float) -> bool:
-        """Whether `step_post_backward` refines the scene after this step."""
-        settings = self.settings
-        return (
+        if (
             settings.refine_from <= progress < settings.refine_until
             and progress - state["refined_progress"] >= settings.refine_every
             and step - state["refined_at"] >= settings.least_refine_steps
-        )
+        ):
+            rng = np.random.default_rng([settings.seed, step, 1])
+            self.refine(splats, optimizer, state, progress, rng)
+            state["refined_at"], state["refined_progress"] = step, progress
 
     @abstractmethod
     def refine(
