@@ -244,6 +244,7 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "skull RGBA 100": ("judge", objects("skull.ply", 100, points=False)),
     "guitar RGBA 24": ("judge", objects("guitar/guitar.compressed.ply", 24, points=True)),
     "playbot RGBA 18": ("choose", objects("playbot_lod0.ply", 18, points=True)),
+    "skull RGBA 24": ("judge", objects("skull.ply", 24, points=True)),
     "playbot close 80": ("choose", objects("playbot_lod0.ply", 80, points=True, cameras_of=closeups)),
     "skull close 80": ("judge", objects("skull.ply", 80, points=True, cameras_of=closeups)),
     "train front 30": ("judge", front("train-1000.ply", 30)),
