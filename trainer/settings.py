@@ -82,10 +82,10 @@ below). Chosen: 0, 0.02 and 0.04 score 38.66, 40.17 and 41.03 dB on `biker front
 30`, whose losses stay above, are the same after 4,800 and 3,600. In full size a minute on `guitar RGBA 24`
 scores 36.76 and 38.06 dB.
 
-Dropped: twice as much where photos are transparent, which tell what is empty. It was chosen on `guitar RGBA
-24`, 38.14 and 39.17 dB, and `playbot RGBA 18`, 30.76 and 31.16; judged by `skull RGBA 24`, which shines, 28.22
-and 28.26 (two seeds) become 28.01 and 27.98. For all photos: `banana` +0.1 and +0.3, `miku 20 far` +0.3,
-`miku 20 near` -0.5 and -0.4. Dropped too: in proportion to the square, 38.19 on `guitar RGBA 24`.
+Dropped: twice as much where photos are transparent, which tell what is empty. Chosen on `guitar RGBA 24`,
+38.14 and 39.17 dB, and `playbot RGBA 18`, 30.76 and 31.16; judged by `skull RGBA 24`, which shines: 28.22 and
+28.26 (two seeds) become 28.01 and 27.98. For all photos: `banana` +0.1 and +0.3, `miku 20 far` +0.3, `miku 20
+near` -0.5 and -0.4. Dropped too: in proportion to the square, 38.19 on `guitar RGBA 24`.
 """
 
 LEAST_DROPOUT, MOST_DROPOUT = 0.05, 0.2
