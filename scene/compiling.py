@@ -153,6 +153,10 @@ def run(
 
     Which thread takes which task is left to chance; results come in the order of the tasks. The first
     exception of a task is raised here, after the tasks already begun have ended.
+
+    Dropped: helpers that watch for the next call for 0.03 to 0.2 ms before they sleep, as OpenMP's do. A call
+    of 0.5 ms on two threads took 0.05 ms less; a step of 20,000 splats (`compare_kernels`, in turn, twice)
+    0.90 and 1.02 of the time, one of 100,000 1.02, frames 0.95 and 0.99, with 1 to 15 % more processor time.
     """
     tasks = list(tasks)
     helpers = min(threads, len(tasks)) - 1
