@@ -54,6 +54,19 @@ def test_a_run_that_meets_its_photos_is_regularised_less(make_trainer) -> None:
     assert regs(full) == pytest.approx([0.1, 0.08]) and full.need_of_reg == 1
 
 
+def test_few_splats_are_not_pressed_the_harder(make_trainer) -> None:
+    """What is added to each splat's gradient: the weight of the mean over their number."""
+
+    def on_each(most: int) -> float:
+        trainer = make_trainer(**FEW, max_splats=most)
+        trainer.step(0.0)
+        return regs(trainer)[0] / len(trainer.splats)
+
+    count = len(make_trainer(**FEW).splats)
+    assert on_each(count) == on_each(10 * count) == pytest.approx(0.1 / count)
+    assert on_each(40 * count) == pytest.approx(0.1 / (4 * count))
+
+
 def test_a_loss_of_the_users_says_nothing_of_the_photos(make_trainer) -> None:
     trainer = make_trainer(**FEW, full_reg_loss=10.0)
     trainer.loss = LossPlugin(lambda step: 1e-3 * step.photo_loss)
