@@ -385,7 +385,7 @@ def test_dropping_learns_repeats_and_ends_whole(make_trainer, views: list[TrainV
 
 
 def test_rates_settle_and_pulls_fade(start) -> None:
-    settings = TrainSettings(settle_from=0.5, settle_to=0.1, reg_end=0.01, opacity_reg=0.1)
+    settings = TrainSettings(settle_from=0.5, settle_to=0.1, reg_end=0.01, opacity_reg=0.1, max_splats=600)
     a, b, c = (settings.rates(progress, 1.0) for progress in (0, 0.5, 1))
     assert a[1:] == b[1:]
     np.testing.assert_allclose(c[1:], 0.1 * np.array(a[1:]))
