@@ -19,7 +19,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from splatview.cli.arguments import Parser, count, index, memory, positive
+from splatview.cli.arguments import Parser, colour, count, index, memory, positive
 from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED, make_console, no_window
 from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels, say
 from splatview.scene import InputError
@@ -326,7 +326,7 @@ def make_parser() -> Parser:
         "--start",
         choices=("auto", "points", "stereo"),
         help="where splats begin: at the capture's points, or also where stereo finds surfaces"
-        " (default: auto: by stereo where the capture has no points)",
+        " (default: auto: by stereo where the capture has few points)",
     )
     group.add_argument(
         "--exposure",
@@ -338,6 +338,13 @@ def make_parser() -> Parser:
         choices=("auto", "on", "off"),
         help="far splats for what photos show at infinity (default: auto, where enough of it is above the"
         " horizon)",
+    )
+    group.add_argument(
+        "--background",
+        type=backdrop,
+        metavar="BACK",
+        help="what is behind the scene and under transparent photos: auto or r,g,b, 0 to 1 each (default:"
+        " auto: the plain colour before which photos stand, where they do, else black)",
     )
     group.add_argument(
         "--antialiased",
@@ -378,6 +385,11 @@ def make_parser() -> Parser:
 def output_path(text: str) -> Path:
     """The scene to write; a slash at the end means a folder of .sog, as for `convert`."""
     return named_output(text) if text.endswith(("/", os.sep)) else Path(text)
+
+
+def backdrop(text: str) -> tuple[float, float, float] | Literal["auto"]:
+    """The value of --background."""
+    return "auto" if text == "auto" else colour(text)
 
 
 def levels(text: str) -> tuple[tuple[float, int], ...] | Literal["auto"]:

@@ -6,6 +6,7 @@ import argparse
 import hashlib
 import os
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -41,6 +42,7 @@ from splatview.trainer.memory import (
     RunMemory,
     begins_by_stereo,
     check_fits,
+    own_points,
     plan,
     run_memory,
     sizes_of_capture,
@@ -74,6 +76,7 @@ OF_THE_CHECKPOINT = [
     "start",
     "exposure",
     "sky",
+    "background",
     "antialiased",
     "abs_grad",
     "lens",
@@ -164,6 +167,8 @@ def _prepare(
     # Checkpoints from before there was a choice have no word about it.
     lens = checkpoint.notes.get("lens", "undistort") if checkpoint else options.lens or DEFAULT_LENS_USE
     masks = checkpoint.notes.get("masks", "ignore") if checkpoint else options.masks or "ignore"
+    asked_background = None if options.background == "auto" else options.background
+    background = checkpoint.settings.background if checkpoint else asked_background or (0.0, 0.0, 0.0)
     if checkpoint is not None and checkpoint.notes.get("plugin") and options.plugin is None:
         raise InputError(
             f"{options.resume}: was trained with a loss of its own; give it with --plugin"
@@ -178,8 +183,9 @@ def _prepare(
     asked = options.memory or (checkpoint.notes.get("memory") if checkpoint else None)
     bound = Bound(bytes=asked or machine.left, asked=asked is not None)
 
-    def room_for(sizes: PhotoSizes, *, guessed: bool = False) -> RunMemory:
-        stereo = checkpoint is None and begins_by_stereo(options.start or "auto", guessed=guessed)
+    def room_for(sizes: PhotoSizes, *, points: int) -> RunMemory:
+        start, pixels = options.start or "auto", sizes.largest
+        stereo = checkpoint is None and begins_by_stereo(start, points=points, pixels=pixels)
         more = {"machine": machine, "batch": batch, "stereo": stereo, "window": window}
         return _room_for(sizes, bound, options, checkpoint, **more)
 
@@ -189,16 +195,18 @@ def _prepare(
         lambda progress: load_capture(
             folder,
             downscale=downscale,
+            background=background,
             lens=lens,
             masks=masks,
             progress=progress,
             # The least that it can be: what photos really are is told once they are read.
             on_poses=lambda posed: room_for(
-                replace(sizes_of_files(posed.entries, downscale), trained=0, planes=3)
+                replace(sizes_of_files(posed.entries, downscale), trained=0, planes=3),
+                points=sys.maxsize,
             ),
         ),
     )
-    memory = room_for(sizes_of_capture(capture), guessed=capture.guessed)
+    memory = room_for(sizes_of_capture(capture), points=own_points(capture)["points"])
     centre = capture.centre
     capture = capture.about(centre)
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
@@ -382,6 +390,8 @@ def _new_trainer(
         resolution=_resolution(options.coarse),
         start=options.start or "auto",
     )
+    if options.background not in (None, "auto"):
+        settings = replace(settings, background=options.background)
     planned = plan(memory, bound, settings.max_splats)
     settings = replace(settings, max_splats=planned.splats)
     threads = _threads(options, group)

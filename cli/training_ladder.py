@@ -32,6 +32,7 @@ from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.scene import InputError
 from splatview.scene.captures import Capture, load_capture
 from splatview.trainer.evaluate import evaluate
+from splatview.trainer.memory import begins_by_stereo, own_points
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.torch_import import require_torch
 from splatview.trainer.views import TrainView, TrainViews, train_views
@@ -135,7 +136,7 @@ def rungs_with_effect(
         "a sky": baseline.sky is not None and baseline.sky.count > 0,
         "transparent photos": any(view.alpha is not None for view in baseline.views.all),
         "points that photos show": bool((baseline.nearest_depths > 0).any()),
-        "points of its own": not capture.guessed,
+        "points enough of its own": not begins_by_stereo("auto", **own_points(capture)),
     }
     kept, without = [], []
     for rung in rungs:

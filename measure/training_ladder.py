@@ -43,7 +43,7 @@ def _rungs(knob: str, needs: str = "", **values: Mapping[str, Any]) -> tuple[Tra
 
 TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     BASELINE,
-    *_rungs("start", "points of its own", stereo={"start": "stereo"}),
+    *_rungs("start", "points enough of its own", stereo={"start": "stereo"}),
     *_rungs(
         "resolution",
         full={"resolution": ()},

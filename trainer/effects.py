@@ -208,12 +208,19 @@ def _background(capture: Capture, settings: TrainSettings) -> Effect:
     transparent = capture.statistics.transparent
     colour = ", ".join(f"{part:g}" for part in settings.background)
     why = f"{transparent} of {len(capture.photos)} photos have transparency"
-    behind = f", laid over {colour}, which is behind the scene too" if transparent else ": black"
+    if transparent:
+        behind = f", laid over {colour}, which is behind the scene too"
+    elif any(settings.background):
+        behind = (
+            f"; {colour} is behind the scene, the plain colour before which they stand, and is no part of it"
+        )
+    else:
+        behind = ", and they stand before no plain colour: black"
     if transparent and settings.alpha_weight > 0:
         behind += f"; their opacity is part of the loss, {settings.alpha_weight:g} of its mean difference"
     return Effect(
         name="background",
-        on=transparent > 0,
+        on=transparent > 0 or any(settings.background),
         why=why + behind,
         saving=Saving(what="a look at each pixel's opacity"),
     )

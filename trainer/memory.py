@@ -22,7 +22,7 @@ from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats.io import resident_memory
 from splatview.scene.formats.ply_body import free_memory
 from splatview.scene.gaussians import SH_COEFFICIENTS
-from splatview.trainer.stereo import MOST_PHOTOS, PIXELS
+from splatview.trainer.stereo import MOST_PHOTOS, PIXELS, PIXELS_PER_POINT
 
 MARGIN = 1.03
 """Factor of the sum: equal runs differ by some percent, and a bound must hold."""
@@ -194,9 +194,16 @@ class Machine:
         )
 
 
-def begins_by_stereo(start: str, *, guessed: bool) -> bool:
-    """Whether stereo looks for surfaces, by `TrainSettings.start`; `guessed`: the capture has no points."""
-    return start == "stereo" or (start == "auto" and guessed)
+def begins_by_stereo(start: str, *, points: int, pixels: int) -> bool:
+    """Whether stereo looks for surfaces, by `TrainSettings.start`, where the capture has so many points of
+    its own and its largest photo so many pixels."""
+    return start == "stereo" or (start == "auto" and points * PIXELS_PER_POINT < min(pixels, PIXELS))
+
+
+def own_points(capture: Capture) -> dict[str, int]:
+    """What `begins_by_stereo` asks of a capture whose photos were read."""
+    points = 0 if capture.guessed else len(capture.points)
+    return {"points": points, "pixels": sizes_of_capture(capture).largest}
 
 
 def run_memory(

@@ -188,7 +188,7 @@ class TrainSettings(StrategySettings):
     """Whether each photo's exposure is learnt; auto: where photos differ, see `exposure`."""
     start: Literal["auto", "points", "stereo"] = "auto"
     """Where splats begin: at the capture's points, or also where stereo finds surfaces; auto: by stereo alone
-    where the capture has no points. See `stereo`."""
+    where the capture has no points, by both where they are few. See `stereo`."""
     sky: Literal["auto", "on", "off"] = "auto"
     """Whether far splats are added for what photos show at infinity; auto: where enough of them is, see
     `sky`."""

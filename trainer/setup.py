@@ -14,6 +14,7 @@ import torch
 from splatview.scene import Gaussians
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
 from splatview.scene.progress import NO_PROGRESS, Progress
+from splatview.trainer.backdrop import find_backdrop
 from splatview.trainer.counters import PluginError, StepReport
 from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
@@ -26,6 +27,7 @@ from splatview.trainer.memory import (
     RunMemory,
     begins_by_stereo,
     check_fits,
+    own_points,
     plan,
     run_memory,
     sizes_of_capture,
@@ -84,9 +86,11 @@ def settings_for(
         "dropout": automatic_dropout(photos),
         "max_aspect": automatic_max_aspect(photos),
         "sh_divisor": automatic_sh_divisor(views.photos_of_a_place(capture.points)),
-        "background": capture.background or (0.0, 0.0, 0.0),
         "model": model_for(capture, antialiased),
     }
+    if "background" not in fields:
+        backdrop = find_backdrop(views.all)
+        automatic["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
     settings = TrainSettings(
         iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields}
     )
@@ -104,7 +108,7 @@ def memory_of(capture: Capture, settings: TrainSettings) -> RunMemory:
         resolution=settings.resolution,
         batch=settings.batch,
         sh_degree=settings.sh_degree,
-        stereo=begins_by_stereo(settings.start, guessed=capture.guessed),
+        stereo=_begins_by_stereo(capture, settings),
         machine=Machine.here(),
     )
 
@@ -134,6 +138,7 @@ def trainer_for(
         points,
         mode=settings.sky,
         most=settings.max_splats,
+        background=settings.background,
         random_points=capture.guessed and points is capture.points,
     )
     if sky.count:
@@ -168,7 +173,7 @@ def start_points(
     """Points (P, 3) float64 and colours (P, 3) uint8 that splats begin at, by `TrainSettings.start`; the
     capture's own where stereo finds fewer than LEAST_FOUND, which `on_note` is told. Raises Cancelled."""
     known = capture.points, capture.point_colours
-    if not begins_by_stereo(settings.start, guessed=capture.guessed):
+    if not _begins_by_stereo(capture, settings):
         return known
     found = stereo_points(views.all, capture.points, threads=threads or 2, progress=progress)
     found = thinned(*found, min(settings.max_splats, MOST_FOUND), seed=settings.seed)
@@ -183,6 +188,10 @@ def start_points(
     if capture.guessed:
         return found
     return np.concatenate([known[0], found[0]]), np.concatenate([known[1], found[1]])
+
+
+def _begins_by_stereo(capture: Capture, settings: TrainSettings) -> bool:
+    return begins_by_stereo(settings.start, **own_points(capture))
 
 
 class TrainedScene(NamedTuple):

@@ -200,10 +200,12 @@ def find_sky(
     *,
     mode: Mode,
     most: int,
+    background: Sequence[float] = (0.0, 0.0, 0.0),
     random_points: bool = False,
 ) -> Sky:
     """Looks for a sky in the photos, and makes its splats. `points` (P, 3) are those that training starts
-    from, in the world of the views; `most`: splats that the whole scene may have."""
+    from, in the world of the views; `most`: splats that the whole scene may have; `background`: what is
+    behind the scene anyway."""
     if mode == "off":
         return NO_SKY
     some = views[:: -(-len(views) // MOST_PHOTOS)]
@@ -214,7 +216,7 @@ def find_sky(
     if random_points:
         points = points[:0]
     looks = [Look.of(view, points, spacing_of(CELLS), FAR_EXTENTS * extent) for view in some]
-    found = FarCells.of(looks, sphere(CELLS), up, extent, capture.background or (0.0, 0.0, 0.0))
+    found = FarCells.of(looks, sphere(CELLS), up, extent, background)
     left = found.left(looks, points) if found.far.any() and len(points) else math.inf
     evidence = SkyEvidence(found.share, left)
     if not found.far.any() or (mode == "auto" and not evidence.calls_for_sky):

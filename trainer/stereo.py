@@ -8,8 +8,8 @@ best of several views, confirmation by others); the idea of a dense start: EDGS 
 Chosen on `playbot RGBA 100` of the bench, which has no points (66 photos to train on, a minute, split 0):
 random points score 33.35 dB on photos held out; those that one other photo confirms, beside the random ones,
 34.76; by two others and alone 36.10. Judged on `skull RGBA 100`: 28.95 and 30.52 dB. Where a capture has
-points of its own, more of them do not help: 21.49 and 21.33 dB on `miku 12 far`, 25.57 and 25.54 on `miku 20
-near` at half the size.
+points enough of its own, more of them do not help: 21.49 and 21.33 dB on `miku 12 far`, 25.57 and 25.54 on
+`miku 20 near`, 28.76 and 28.48 on `banana` (7,427 points) at half the size. See `PIXELS_PER_POINT` for few.
 
 Dropped: agreement of depths through training, 0.3 and 1 times the mean |d/s - 1| (at most 0.2) of the scene's
 depth d and that s of the pixels that two other photos confirm. A minute each, the second picture of a step
@@ -33,6 +33,14 @@ from splatview.trainer.views import TrainView
 
 PIXELS = 60_000
 """Of a photo as it is matched, about."""
+
+PIXELS_PER_POINT = 50
+"""Pixels of a photo, as it is matched, for each point of the capture, beyond which its points are few:
+splats begin where stereo finds surfaces, too. One run each with a third held out, half the bench's size,
+of a choice of the points by chance, without and with stereo. Chosen: `banana` with 50 points 26.75 and
+28.34 dB, with 300 27.64 and 28.54, with 1,000 28.30 and 28.47. Judged: `miku 12 near` with 50 27.40 and
+28.98, with 300 28.23 and 28.74 (at the photos' exposures), `biker front 24` with 50 42.42 and 42.67,
+`miku` with 1,000 29.61 and 29.71."""
 
 PLANES = 96
 """Inverse depths that are tried."""

@@ -25,7 +25,14 @@ from typing import Any, Literal
 
 from splatview.measure.machine import FOLDER, write_results
 from splatview.scene.captures import load_capture
-from splatview.trainer.memory import Machine, PhotoSizes, run_memory, sizes_of_capture
+from splatview.trainer.memory import (
+    Machine,
+    PhotoSizes,
+    begins_by_stereo,
+    own_points,
+    run_memory,
+    sizes_of_capture,
+)
 from splatview.trainer.settings import TrainSettings
 
 sys.path.append(str(Path(__file__).parents[1] / "soak"))
@@ -172,7 +179,7 @@ def main() -> None:
         capture = load_capture(folder, downscale=case.downscale)
         sizes = sizes_of_capture(capture)
         kept = {"name": case.name, "use": case.use, "window": case.window}
-        kept["stereo"] = capture.guessed
+        kept["stereo"] = begins_by_stereo("auto", **own_points(capture))
         kept["batch"] = int(case.options[1]) if "--batch" in case.options else 1
         runs[case.name] = {**kept, "sizes": asdict(sizes), **measured(case, folder)}
         print(*row(runs[case.name]), sep="  ", flush=True)

@@ -89,6 +89,12 @@ def rgba_pictures(scene: Gaussians, cameras: list[Camera]) -> list[np.ndarray]:
     return pictures
 
 
+def laid_over(rgba: np.ndarray, grey: float) -> np.ndarray:
+    """(H, W, 3) uint8: a transparent picture before a plain backdrop."""
+    alpha = rgba[..., 3:] / 255
+    return (rgba[..., :3] * alpha + 255 * grey * (1 - alpha) + 0.5).astype(np.uint8)
+
+
 def rgb_picture(scene: Gaussians, camera: Camera) -> np.ndarray:
     """(H, W, 3) float32 within 0..1, over black."""
     return np.clip(np.nan_to_num(render(scene, camera, RenderSettings())[..., :3]), 0, 1)
@@ -142,16 +148,21 @@ def objects(
     *,
     points: bool,
     size: int = 200,
+    before: float | None = None,
     cameras_of: Callable[[Gaussians, int, int], list[Camera]] = orbit,
 ) -> Callable[[Path, Path], None]:
-    """Transparent photos from all around."""
+    """Transparent photos from all around; opaque ones, where they stand `before` a grey of 0 to 1."""
 
     def make(data: Path, folder: Path) -> None:
         scene = load_scene(data / "scenes" / scene_file)
         cameras = cameras_of(scene, count, size)
         pictures = rgba_pictures(scene, cameras)
         found = surface_points(scene, 0) if points else no_points()
-        write(capture_from(pictures, cameras, found), folder, rgba=pictures)
+        if before is None:
+            write(capture_from(pictures, cameras, found), folder, rgba=pictures)
+            return
+        over = [laid_over(picture, before) for picture in pictures]
+        write(capture_from(over, cameras, found), folder)
 
     return make
 
@@ -245,6 +256,8 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "guitar RGBA 24": ("judge", objects("guitar/guitar.compressed.ply", 24, points=True)),
     "playbot RGBA 18": ("choose", objects("playbot_lod0.ply", 18, points=True)),
     "skull RGBA 24": ("judge", objects("skull.ply", 24, points=True)),
+    "guitar white 24": ("judge", objects("guitar/guitar.compressed.ply", 24, points=True, before=1.0)),
+    "playbot white 60": ("judge", objects("playbot_lod0.ply", 60, points=False, before=1.0)),
     "playbot close 80": ("choose", objects("playbot_lod0.ply", 80, points=True, cameras_of=closeups)),
     "skull close 80": ("judge", objects("skull.ply", 80, points=True, cameras_of=closeups)),
     "train front 30": ("judge", front("train-1000.ply", 30)),

@@ -19,7 +19,7 @@ from splatview.viewer.state import AppState, Feature
 from splatview.viewer.thumbnails import Thumbnails
 from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
-from splatview.viewer.training.start import DOWNSCALES, LENGTHS, MEMORIES, WHETHER, TrainingStart
+from splatview.viewer.training.start import BACKGROUNDS, DOWNSCALES, LENGTHS, MEMORIES, WHETHER, TrainingStart
 
 NAME, DROPPED = "Train on photos", "Photos with cameras"
 """Titles of the two windows."""
@@ -227,6 +227,16 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     )
     if sky is not None:
         form.sky = sky
+    background = widgets.combo(
+        "Background",
+        form.background,
+        list(BACKGROUNDS),
+        "What is behind the scene, and under transparent photos. A plain colour before which photos stand"
+        " needs no splats.",
+        ("Plain colour of the photos", "Black", "White"),
+    )
+    if background is not None:
+        form.background = background
     widgets.label("Save as", "The scene, written when training ends or the window closes.")
     change = "Change...###output"
     room = (

@@ -59,6 +59,9 @@ AUTOMATIC = "What is free"
 MEMORIES = (AUTOMATIC, "1 GB", "2 GB", "4 GB", "8 GB", "16 GB", "32 GB", "64 GB")
 """Bounds to choose from; the first is what the machine has left."""
 
+BACKGROUNDS = {"auto": "auto", "black": "0,0,0", "white": "1,1,1"}
+"""What may be behind the scene, and how `splatview train --background` has it."""
+
 WHETHER = ("auto", "on", "off")
 """What can be asked for of a correction: auto looks at the photos."""
 
@@ -147,6 +150,8 @@ class TrainingForm:
     exposure: str = WHETHER[0]
     """One of WHETHER, as `sky` is."""
     sky: str = WHETHER[0]
+    background: str = next(iter(BACKGROUNDS))
+    """One of BACKGROUNDS."""
     output: Path = field(default_factory=Path)
     """File that will hold the scene."""
 
@@ -214,6 +219,7 @@ class TrainingStart(Feature):
             *LENGTHS[self.form.length],
             *("--downscale", str(self.form.downscale)),
             *("--exposure", self.form.exposure, "--sky", self.form.sky),
+            *("--background", BACKGROUNDS[self.form.background]),
             *(() if self.form.memory == AUTOMATIC else ("--memory", self.form.memory)),
         ]
 
@@ -228,10 +234,11 @@ class TrainingStart(Feature):
         asked = None if form.memory == AUTOMATIC else parse_bytes(form.memory)
         bound = Bound(bytes=asked or self.machine.left, asked=asked is not None)
         sizes = self.found.sizes[form.downscale]
+        points = self.found.points if self.found.points >= MIN_POINTS else 0
         memory = run_memory(
             sizes,
             resolution=TrainSettings.resolution,
-            stereo=begins_by_stereo(TrainSettings.start, guessed=self.found.points < MIN_POINTS),
+            stereo=begins_by_stereo(TrainSettings.start, points=points, pixels=sizes.largest),
             machine=self.machine,
             window=True,
         )

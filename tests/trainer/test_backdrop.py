@@ -1,0 +1,106 @@
+"""Photos of an object before one plain colour: it is behind the scene, and no splats are in its place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from splatview.cli.main import main
+from splatview.raster import render
+from splatview.scene.formats import load_scene
+from splatview.trainer.backdrop import find_backdrop
+from splatview.trainer.checkpoint import load_checkpoint
+from splatview.trainer.views import TrainView
+
+
+def painted(views: list[TrainView], photo: np.ndarray) -> list[TrainView]:
+    return [replace(view, pixels=photo.copy()) for view in views]
+
+
+def plain(colour: tuple[int, int, int], views: list[TrainView]) -> np.ndarray:
+    return np.broadcast_to(np.array(colour, np.uint8), views[0].pixels.shape).copy()
+
+
+def test_the_colour_behind_an_object_is_found(views: list[TrainView]) -> None:
+    found = find_backdrop(views)  # rendered over a dark grey, with nothing at their borders
+    assert found is not None and found.colour == (0.2, 0.2, 0.2)
+    assert found.share > 0.95
+
+
+def test_noise_and_what_is_cut_off_do_not_hide_it(views: list[TrainView]) -> None:
+    photo = plain((255, 250, 240), views)
+    photo[30:, 5:40] = (90, 60, 30)  # an object that goes on beyond the lower edge
+    noise = np.random.default_rng(0).integers(-5, 6, photo.shape)
+    photo = np.clip(photo + noise, 0, 255).astype(np.uint8)
+    found = find_backdrop(painted(views, photo))
+    assert found is not None
+    np.testing.assert_allclose(found.colour, (1, 250 / 255, 240 / 255), atol=0.02)
+    assert 0.6 < found.share < 0.9
+
+
+def test_a_sky_a_gradient_and_black_are_none(views: list[TrainView]) -> None:
+    sky = plain((255, 255, 255), views)
+    sky[20:] = np.random.default_rng(0).integers(0, 255, sky[20:].shape)
+    assert find_backdrop(painted(views, sky)) is None
+    gradient = plain((0, 0, 0), views)
+    gradient[:] = np.linspace(60, 250, 48)[None, :, None]
+    assert find_backdrop(painted(views, gradient)) is None
+    assert find_backdrop(painted(views, plain((3, 3, 3), views))) is None
+
+
+def test_most_photos_must_have_it(views: list[TrainView]) -> None:
+    white, some = painted(views, plain((255, 255, 255), views)), len(views) // 4
+    noise = np.random.default_rng(0).integers(0, 255, views[0].pixels.shape, np.uint8)
+    assert find_backdrop(white) is not None
+    assert find_backdrop(painted(views[:some], noise) + white[some:]) is None
+
+
+def test_transparency_says_more_and_masks_hide_what_they_hide(views: list[TrainView]) -> None:
+    white = painted(views, plain((255, 255, 255), views))
+    opaque = np.full((40, 48), 255, np.uint8)
+    assert find_backdrop([replace(view, alpha=opaque) for view in white]) is None
+    inside = np.zeros((40, 48), np.bool_)
+    inside[5:-5, 5:-5] = True
+    assert find_backdrop([replace(view, mask=inside) for view in white]) is None
+
+
+def train(folder: Path, output: Path, *options: str) -> int:
+    return main(["train", str(folder), "--headless", "-o", str(output), "--threads", "2", *options])
+
+
+def test_a_run_puts_the_colour_behind_its_scene(
+    capture_folder: Path, views: list[TrainView], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A view from between the photos shows the object, and nothing beside it."""
+    output = tmp_path / "toy.ply"
+    assert train(capture_folder, output, "--iterations", "300") == 0
+    report = " ".join(capsys.readouterr().err.split())
+    assert "0.2, 0.2, 0.2 is behind the scene" in report
+    checkpoint = tmp_path / "toy.checkpoint.safetensors"
+    assert load_checkpoint(checkpoint).settings.background == (0.2, 0.2, 0.2)
+    alpha = render(load_scene(output), views[0].camera)[..., 3]
+    assert np.concatenate([alpha[:3].ravel(), alpha[-3:].ravel()]).mean() < 0.05
+    # A resumed run goes on with it, and takes no other.
+    assert train(capture_folder, output, "--resume", str(checkpoint), "--iterations", "302") == 0
+    assert load_checkpoint(checkpoint).settings.background == (0.2, 0.2, 0.2)
+    assert train(capture_folder, output, "--resume", str(checkpoint), "--background", "auto") == 2
+
+
+def test_another_colour_can_be_asked_for(capture_folder: Path, tmp_path: Path) -> None:
+    for file in (capture_folder / "images").iterdir():
+        photo = np.asarray(Image.open(file).convert("RGBA")).copy()
+        photo[..., 3] = 255 * (np.abs(photo[..., :3].astype(int) - 51).max(axis=-1) > 4)
+        Image.fromarray(photo).save(file)
+    output, options = tmp_path / "toy.ply", ("--iterations", "2", "--background", "1,0.5,0")
+    assert train(capture_folder, output, *options) == 0
+    checkpoint = tmp_path / "toy.checkpoint.safetensors"
+    assert load_checkpoint(checkpoint).settings.background == (1, 0.5, 0)
+    held_out = np.asarray(Image.open(next((tmp_path / "toy-held-out").glob("*.png"))))
+    assert held_out[0, 0].tolist() == [255, 128, 0], "the photo lies over it, too"
+    assert train(capture_folder, output, "--resume", str(checkpoint), "--iterations", "4") == 0
+    held_out = np.asarray(Image.open(next((tmp_path / "toy-held-out").glob("*.png"))))
+    assert held_out[0, 0].tolist() == [255, 128, 0]
