@@ -23,6 +23,7 @@ from splatview.scene.formats import place_beside
 from splatview.scene.formats.io import require_regular_file, take_lock
 from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import cache_folder
+from splatview.trainer.backdrop import find_backdrop, standing_before
 from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from splatview.trainer.distributed import (
     Alone,
@@ -211,6 +212,11 @@ def _prepare(
     capture = capture.about(centre)
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
+    known = checkpoint.settings if checkpoint else None
+    if (known is None or known.backdrop == "auto") and find_backdrop(views.all):
+        # Where photos are empty is one more number for each pixel.
+        sizes = sizes_of_capture(capture)
+        memory = room_for(replace(sizes, planes=sizes.planes + 1), points=own_points(capture)["points"])
     for warning in capture.warnings:
         say(console, warning, "yellow")
     torch_import.wait()
@@ -430,6 +436,8 @@ def _resumed_trainer(
     from splatview.trainer.trainer import Trainer
 
     settings = replace(settings, max_splats=max_splats)
+    if settings.backdrop == "auto":
+        views = standing_before(views, settings.background)
     parameters = checkpoint.parameters
     extent, threads = checkpoint.extent, _threads(options, group)
     trainer = Trainer(

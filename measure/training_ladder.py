@@ -57,6 +57,12 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
     *_rungs("exposure", off={"exposure": "off"}, on={"exposure": "on"}),
     *_rungs("opacity of photos", "transparent photos", not_taught={"alpha_weight": 0.0}),
+    *_rungs(
+        "backdrop",
+        "a plain backdrop",
+        by_splats={"backdrop": "off", "background": (0.0, 0.0, 0.0)},
+        not_known_as_empty={"backdrop": "off"},
+    ),
     *_rungs("sky", "a sky", off={"sky": "off"}),
     *_rungs("free space", "points that photos show", off={"free_space": 0.0}),
     *_rungs("unseen splats", stay={"least_shown": 0.0, "least_visibility": 0.0}),

@@ -364,6 +364,7 @@ def photo_loss(
     *,
     mask: torch.Tensor | None = None,
     alpha: torch.Tensor | None = None,
+    alpha_known: int = 255,
     ssim_weight: float = SSIM_WEIGHT,
     alpha_weight: float = 0.0,
     threads: int | None = None,
@@ -372,12 +373,12 @@ def photo_loss(
 
     All on the CPU; mask (H, W) bool: pixels that are false count as equal. With w = 1 it is 1 - SSIM.
     alpha (H, W) uint8 is the photo's opacity: `alpha_weight` times the mean difference of the picture's from
-    it is added.
+    it is added, where that opacity is not above `alpha_known`.
 
     Raises:
         ValueError: a tensor has the wrong shape or dtype; see `loss.photo_loss`.
     """
-    loss = _PhotoLoss.apply(image, photo, mask, alpha, ssim_weight, alpha_weight, threads)
+    loss = _PhotoLoss.apply(image, photo, mask, alpha, alpha_known, ssim_weight, alpha_weight, threads)
     assert isinstance(loss, torch.Tensor)
     return loss
 
@@ -385,7 +386,7 @@ def photo_loss(
 class _PhotoLoss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> torch.Tensor:
-        image, photo, mask, alpha, ssim_weight, alpha_weight, threads = args
+        image, photo, mask, alpha, alpha_known, ssim_weight, alpha_weight, threads = args
         held = _Held(_losses)
         assert held.buffers is not None
         workspace = held.buffers.workspace
@@ -397,6 +398,7 @@ class _PhotoLoss(torch.autograd.Function):
                 workspace,
                 mask=None if mask is None else mask.contiguous().numpy(),
                 alpha=None if alpha is None else alpha.contiguous().numpy(),
+                alpha_known=alpha_known,
                 ssim_weight=ssim_weight,
                 alpha_weight=alpha_weight,
                 threads=threads,
@@ -418,7 +420,7 @@ class _PhotoLoss(torch.autograd.Function):
         by_image = torch.from_numpy(d_image)
         if grad_outputs[0] != 1:
             by_image = by_image * grad_outputs[0]
-        return by_image, None, None, None, None, None, None
+        return by_image, None, None, None, None, None, None, None
 
 
 def expose(

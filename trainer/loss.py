@@ -38,6 +38,7 @@ def photo_loss(
     *,
     mask: np.ndarray | None = None,
     alpha: np.ndarray | None = None,
+    alpha_known: int = 255,
     ssim_weight: float = SSIM_WEIGHT,
     alpha_weight: float = 0.0,
     threads: int | None = None,
@@ -47,7 +48,7 @@ def photo_loss(
     mask (H, W) bool: pixels that are false count as equal, whatever they show. Values are not clipped,
     so that a picture too bright is pulled back. Equal for any number of threads (None: all cores).
     alpha (H, W) uint8: the photo's opacity; the mean difference of the picture's from it, `alpha_weight`
-    times, is added to the loss.
+    times, is added to the loss, pixels whose opacity is above `alpha_known` counting as equal.
 
     Raises:
         ValueError: an array has the wrong shape or dtype, or SSIM is asked of pictures smaller than its
@@ -98,8 +99,8 @@ def photo_loss(
         gradient_rows,
         _tasks(height, threads),
         (
-            *(image, photo, mask, alpha, weights, l1_scale, ssim_scale, alpha_scale, maps, d_image),
-            *(differences, alpha_differences),
+            *(image, photo, mask, alpha, alpha_known, weights, l1_scale, ssim_scale, alpha_scale),
+            *(maps, d_image, differences, alpha_differences),
         ),
         threads,
     )

@@ -166,6 +166,7 @@ def gradient_rows(
     photo,
     mask,
     alpha,
+    alpha_known,
     weights,
     l1_scale,
     ssim_scale,
@@ -177,7 +178,8 @@ def gradient_rows(
 ):
     """Rows [start, stop) of d_image (H, W, 4) = l1_scale·sign(x - y) + ssim_scale·d(sum of SSIM)/dx.
 
-    alpha (H, W) uint8 is the photo's opacity a, or (0, 0): alpha's gradient is alpha_scale·sign(x - a), or 0.
+    alpha (H, W) uint8 is the photo's opacity a, or (0, 0): alpha's gradient is alpha_scale·sign(x - a), or 0,
+    as it is where a is above `alpha_known`.
     sums and alpha_sums (H,) float64 receive the rows' sums of |x - y| and of |x - a|. The other arguments
     are those of `similarity_rows`; an ssim_scale of 0 leaves `maps` unread.
     """
@@ -226,7 +228,7 @@ def gradient_rows(
         total_alpha = 0.0
         if alpha.size > 0:
             for x in range(width):
-                if mask.size == 0 or mask[row, x]:
+                if alpha[row, x] <= alpha_known and (mask.size == 0 or mask[row, x]):
                     difference = image[row, x, 3] - number(alpha[row, x]) / number(255)
                     total_alpha += abs(difference)
                     sign = number(difference > 0) - number(difference < 0)

@@ -180,6 +180,9 @@ class TrainSettings(StrategySettings):
     batch: int = 1
     """Photos a step, whose gradients are averaged."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    backdrop: Literal["auto", "off"] = "auto"
+    """Whether photos that show the background as a plain colour, connected to their border, are known to be
+    empty there. See `backdrop`."""
     model: ImageModel = field(default_factory=ImageModel)
     ssim_weight: float = SSIM_WEIGHT
     alpha_weight: float = ALPHA_WEIGHT
@@ -252,6 +255,8 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"start must be auto, points or stereo, got {self.start!r}")
         if self.sky not in ("auto", "on", "off"):
             raise ValueError(f"sky must be auto, on or off, got {self.sky!r}")
+        if self.backdrop not in ("auto", "off"):
+            raise ValueError(f"backdrop must be auto or off, got {self.backdrop!r}")
         if not self.max_aspect >= 1:
             raise ValueError(f"max_aspect must be at least 1, got {self.max_aspect}")
         if not 1 <= self.sh_divisor < math.inf:
@@ -314,6 +319,7 @@ RECORDED_NAMES = {
 
 WITHOUT_WORD = {
     "alpha_weight": 0.0,
+    "backdrop": "off",
     "full_reg_loss": 0.0,
     "sky": "off",
     "free_space": 0.0,

@@ -14,7 +14,7 @@ import torch
 from splatview.scene import Gaussians
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
 from splatview.scene.progress import NO_PROGRESS, Progress
-from splatview.trainer.backdrop import find_backdrop
+from splatview.trainer.backdrop import find_backdrop, standing_before
 from splatview.trainer.counters import PluginError, StepReport
 from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
@@ -89,22 +89,25 @@ def settings_for(
         "model": model_for(capture, antialiased),
     }
     if "background" not in fields:
-        backdrop = find_backdrop(views.all)
+        backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
         automatic["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
     settings = TrainSettings(
         iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields}
     )
     if memory is None:
         return settings
-    needed, bound = memory_of(capture, settings), Bound(bytes=memory, asked=True)
+    needed, bound = memory_of(capture, settings, views), Bound(bytes=memory, asked=True)
     check_fits(needed, bound, min(limit, LEAST_LIMIT), f"{capture.name}: its photos", "give it {} or more")
     return replace(settings, max_splats=plan(needed, bound, limit).splats)
 
 
-def memory_of(capture: Capture, settings: TrainSettings) -> RunMemory:
+def memory_of(capture: Capture, settings: TrainSettings, views: TrainViews) -> RunMemory:
     """What a run of this process on all cores takes."""
+    sizes = sizes_of_capture(capture)
+    if settings.backdrop == "auto" and find_backdrop(views.all):
+        sizes = replace(sizes, planes=sizes.planes + 1)
     return run_memory(
-        sizes_of_capture(capture),
+        sizes,
         resolution=settings.resolution,
         batch=settings.batch,
         sh_degree=settings.sh_degree,
@@ -129,6 +132,8 @@ def trainer_for(
     `views` are about `centre`; `on_note` is told what stereo and a look for a sky have found. Raises
     Cancelled."""
     extent = capture.scene_radius
+    if settings.backdrop == "auto":
+        views = standing_before(views, settings.background)
     points, colours = start_points(
         capture, views, settings, threads=threads, on_note=on_note, progress=progress
     )

@@ -325,6 +325,7 @@ class Trainer:
                     photo,
                     mask=mask,
                     alpha=alpha,
+                    alpha_known=view.alpha_known,
                     ssim_weight=settings.ssim_weight,
                     alpha_weight=settings.alpha_weight,
                     threads=self.threads,

@@ -28,6 +28,8 @@ class TrainView:
     """(H, W) bool, false where the photo is not to be trained; None: trained everywhere."""
     alpha: np.ndarray | None = None
     """(H, W) uint8, opacity of a photo whose pixels are laid over the run's background; None: opaque."""
+    alpha_known: int = 255
+    """The opacities above are not known: 0 where nothing is said but where the photo is empty."""
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
@@ -60,7 +62,7 @@ class TrainView:
         alpha = self.alpha
         if alpha is not None:
             alpha = np.ascontiguousarray(area_averaged(alpha[..., None], width, height)[..., 0])
-        return TrainView(self.camera.resized(width, height), pixels, mask, alpha)
+        return TrainView(self.camera.resized(width, height), pixels, mask, alpha, self.alpha_known)
 
 
 def train_views(photos: Sequence[Photo]) -> list[TrainView]:
@@ -121,6 +123,10 @@ class TrainViews:
     def names(self) -> list[list[Any]]:
         """[name, width, height] of every photo."""
         return [[view.camera.name, view.camera.width, view.camera.height] for view in self._sizes[1]]
+
+    def changed(self, views: Sequence[TrainView]) -> TrainViews:
+        """Others in the place of all photos, in the same order of steps."""
+        return TrainViews(views, self._seed)
 
     def sized(self, factor: int) -> list[TrainView]:
         """All photos, smaller by a factor."""

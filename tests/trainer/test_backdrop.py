@@ -10,11 +10,12 @@ import pytest
 from PIL import Image
 
 from splatview.cli.main import main
-from splatview.raster import render
+from splatview.raster import Workspace, render
 from splatview.scene.formats import load_scene
-from splatview.trainer.backdrop import find_backdrop
+from splatview.trainer.backdrop import find_backdrop, standing_before
 from splatview.trainer.checkpoint import load_checkpoint
-from splatview.trainer.views import TrainView
+from splatview.trainer.loss import photo_loss
+from splatview.trainer.views import TrainView, TrainViews
 
 
 def painted(views: list[TrainView], photo: np.ndarray) -> list[TrainView]:
@@ -42,14 +43,13 @@ def test_noise_and_what_is_cut_off_do_not_hide_it(views: list[TrainView]) -> Non
     assert 0.6 < found.share < 0.9
 
 
-def test_a_sky_a_gradient_and_black_are_none(views: list[TrainView]) -> None:
+def test_a_sky_and_a_gradient_are_none(views: list[TrainView]) -> None:
     sky = plain((255, 255, 255), views)
     sky[20:] = np.random.default_rng(0).integers(0, 255, sky[20:].shape)
     assert find_backdrop(painted(views, sky)) is None
     gradient = plain((0, 0, 0), views)
     gradient[:] = np.linspace(60, 250, 48)[None, :, None]
     assert find_backdrop(painted(views, gradient)) is None
-    assert find_backdrop(painted(views, plain((3, 3, 3), views))) is None
 
 
 def test_most_photos_must_have_it(views: list[TrainView]) -> None:
@@ -66,6 +66,37 @@ def test_transparency_says_more_and_masks_hide_what_they_hide(views: list[TrainV
     inside = np.zeros((40, 48), np.bool_)
     inside[5:-5, 5:-5] = True
     assert find_backdrop([replace(view, mask=inside) for view in white]) is None
+
+
+def test_what_is_connected_to_the_border_is_known_to_be_empty(views: list[TrainView]) -> None:
+    photo = plain((255, 255, 255), views)
+    photo[10:30, 10:30] = 40
+    photo[15:20, 15:20] = 255  # plain within the object: it may be its own
+    photo[18:26, 40:48] = 90
+    (view, *_) = standing_before(TrainViews(painted(views, photo), 0), (1, 1, 1)).all
+    assert view.alpha is not None and view.alpha_known == 0
+    expected = np.zeros((40, 48), np.uint8)
+    expected[9:31, 9:31] = 255  # a pixel at the rim may be mixed
+    expected[17:27, 39:48] = 255
+    np.testing.assert_array_equal(view.alpha, expected)
+    smaller = view.smaller(2)
+    assert smaller.alpha_known == 0 and smaller.alpha is not None
+    assert set(np.unique(smaller.alpha)) > {0, 255}, "pixels that are empty in part are above 0, so not known"
+    assert standing_before(TrainViews(views, 0), (1, 1, 1)).all[0].alpha is None, "they stand before a grey"
+
+
+def test_opacity_is_compared_where_it_is_known(rng: np.random.Generator) -> None:
+    image = rng.random((20, 24, 4)).astype(np.float32)
+    photo = rng.integers(0, 256, (20, 24, 3)).astype(np.uint8)
+    alpha = np.where(rng.random((20, 24)) < 0.5, 0, 255).astype(np.uint8)
+    known = photo_loss(
+        image, photo, Workspace(), alpha=alpha, alpha_known=0, ssim_weight=0.0, alpha_weight=0.5
+    )
+    d_alpha = known.d_image[..., 3].copy()
+    np.testing.assert_allclose(d_alpha, np.where(alpha == 0, 0.5 / alpha.size, 0), rtol=1e-6)
+    without = photo_loss(image, photo, Workspace(), ssim_weight=0.0)
+    by_alpha = 0.5 * image[..., 3][alpha == 0].sum() / alpha.size
+    assert known.loss == pytest.approx(without.loss + by_alpha, rel=1e-5)
 
 
 def train(folder: Path, output: Path, *options: str) -> int:

@@ -54,9 +54,9 @@ def test_the_form_asks_for_corrections(app, capture):
     start = app.feature(TrainingStart)
     start.choose(capture)
     assert looked(app).found is not None
-    start.form.exposure, start.form.sky = "on", "off"
+    start.form.exposure, start.form.sky, start.form.background = "on", "off", "white"
     asked = " ".join(start.arguments())
-    assert "--exposure on" in asked and "--sky off" in asked
+    assert "--exposure on" in asked and "--sky off" in asked and "--background 1,1,1" in asked
 
 
 def test_a_folder_without_a_capture_above_it_is_told_of(app, tmp_path):
