@@ -231,7 +231,7 @@ def find_sky(
 
 def _why_not(views: Sequence[TrainView], random_points: bool) -> str:
     if any(view.alpha is not None for view in views):
-        return "photos are transparent where nothing is"
+        return "photos say where nothing is"
     if any(view.camera.orthographic for view in views):
         return "photos without perspective see no direction twice"
     if random_points:
