@@ -242,8 +242,9 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["memory"] = [state.form.memory, free.bound.asked, state.planned_memory().bound.bytes]
     ctx.combo_click("##Exposure/Not corrected")
     ctx.combo_click("##Sky/Always added")
+    ctx.combo_click("##Background/White")
     hand.frames(3)
-    found["chosen"] = [state.form.exposure, state.form.sky]
+    found["chosen"] = [state.form.exposure, state.form.sky, state.form.background]
     shoot(hand, "train_form")
     ctx.item_click("//Train on photos/Start training")
     hand.frames(3)
@@ -259,7 +260,7 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["bound"], found["peak"] = training.memory.bound.bytes, training.memory.peak
     found["told"] = any("memory: about" in message.text for message in app.messages)
     settings = training.status.settings
-    found["trained"] = [settings.exposure, settings.sky]
+    found["trained"] = [settings.exposure, settings.sky, settings.background]
 
 
 def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:

@@ -70,7 +70,8 @@ def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):
     assert found["scene"] == "pond (training)" and found["steps"] >= 5
     assert found["memory"] == ["2 GB", False, 2 * 10**9]
     assert found["bound"] == 2 * 10**9 > found["peak"] and found["told"]
-    assert found["chosen"] == found["trained"] == ["off", "on"]
+    assert found["chosen"] == ["off", "on", "white"]
+    assert found["trained"] == ["off", "on", [1, 1, 1]]
     assert len(load_scene(output)), "saved when the window closed"
 
 
