@@ -38,6 +38,11 @@ at most; an object that is cut off leaves more than that."""
 LEAST_PHOTOS = 0.9
 """Share of the photos of which that is true."""
 
+DARKEST, FRAME = 0.1, 0.97
+"""A colour with no channel above the first may be a frame, as around what a fisheye lens sees, rather than a
+backdrop; it is where the photos have it at the same pixels, by this share of those that either of two
+has."""
+
 MOST_PHOTOS = 60
 """Photos that are looked at, spread over all."""
 
@@ -56,13 +61,16 @@ def find_backdrop(views: Sequence[TrainView]) -> Backdrop | None:
     transparent, which says more."""
     if any(view.alpha is not None for view in views):
         return None
-    borders = [_border(view) for view in views[:: -(-len(views) // MOST_PHOTOS)]]
+    some = views[:: -(-len(views) // MOST_PHOTOS)]
+    borders = [_border(view) for view in some]
     borders = [border for border in borders if len(border)]
     if not borders:
         return None
     colour = np.median([np.median(border, axis=0) for border in borders], axis=0).round()
     shares = np.array([(np.abs(border - colour).max(axis=1) <= 255 * TOLERANCE).mean() for border in borders])
     if not (shares.mean() >= LEAST_OF_ALL and (shares >= LEAST_OF_A_PHOTO).mean() >= LEAST_PHOTOS):
+        return None
+    if not colour.max() > 255 * DARKEST and _is_frame([_plain(view, colour) for view in some]):
         return None
     red, green, blue = (float(part) for part in colour / 255)
     return Backdrop((red, green, blue), float(shares.mean()))
@@ -78,12 +86,28 @@ def standing_before(views: TrainViews, colour: Sequence[float]) -> TrainViews:
     return views.changed([_with_emptiness(view, level) for view in views.all])
 
 
-def _with_emptiness(view: TrainView, level: np.ndarray) -> TrainView:
+def _is_frame(plain: list[np.ndarray]) -> bool:
+    """Whether photos have the colour at the same pixels; those of other sizes than most are left out."""
+    shapes = [one.shape for one in plain]
+    usual = max(set(shapes), key=shapes.count)
+    alike = np.stack([one for one in plain if one.shape == usual])
+    other = np.roll(alike, max(len(alike) // 3, 1), axis=0)  # frames of a film are like their neighbours
+    either, both = alike | other, alike & other
+    return len(alike) > 1 and both.sum() >= FRAME * either.sum()
+
+
+def _plain(view: TrainView, level: np.ndarray) -> np.ndarray:
+    """(H, W) bool: what has the colour and is connected to the border by it."""
     plain = (np.abs(view.pixels - level) <= 255 * TOLERANCE).all(axis=2)
     if view.mask is not None:
         plain &= view.mask
     flooded = np.zeros(plain.shape, np.bool_)
     flood(plain, flooded)
+    return flooded
+
+
+def _with_emptiness(view: TrainView, level: np.ndarray) -> TrainView:
+    flooded = _plain(view, level)
     # A pixel at the rim shows some of the object.
     inner = np.pad(flooded, 1, constant_values=True)
     height, width = view.pixels.shape[:2]

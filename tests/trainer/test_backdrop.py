@@ -52,6 +52,22 @@ def test_a_sky_and_a_gradient_are_none(views: list[TrainView]) -> None:
     assert find_backdrop(painted(views, gradient)) is None
 
 
+def test_a_frame_around_what_a_lens_sees_is_none(views: list[TrainView]) -> None:
+    """Black at the same pixels of all photos hides the scene, and says nothing of it."""
+    y, x = np.mgrid[:40, :48]
+    outside = (x - 23.5) ** 2 + (y - 19.5) ** 2 > 19**2
+    rng, framed, lit = np.random.default_rng(0), [], []
+    for view in views:
+        photo = rng.integers(30, 255, (40, 48, 3)).astype(np.uint8)
+        photo[outside] = 2
+        framed.append(replace(view, pixels=photo))
+        object_at, photo = rng.integers(5, 25, 2), np.full((40, 48, 3), 2, np.uint8)
+        photo[object_at[0] : object_at[0] + 12, object_at[1] : object_at[1] + 18] = 200
+        lit.append(replace(view, pixels=photo))
+    assert find_backdrop(framed) is None
+    assert find_backdrop(lit) is not None
+
+
 def test_most_photos_must_have_it(views: list[TrainView]) -> None:
     white, some = painted(views, plain((255, 255, 255), views)), len(views) // 4
     noise = np.random.default_rng(0).integers(0, 255, views[0].pixels.shape, np.uint8)
