@@ -40,8 +40,8 @@ LEAST_PHOTOS = 0.9
 
 DARKEST, FRAME = 0.1, 0.97
 """A colour with no channel above the first may be a frame, as around what a fisheye lens sees, rather than a
-backdrop; it is where the photos have it at the same pixels, by this share of those that either of two
-has."""
+backdrop: where what is within has one shape, by this share of what either of two photos has within. It is
+0.90, 0.77, 0.51 and 0.14 for the four captures of the bench that have a backdrop."""
 
 MOST_PHOTOS = 60
 """Photos that are looked at, spread over all."""
@@ -87,13 +87,14 @@ def standing_before(views: TrainViews, colour: Sequence[float]) -> TrainViews:
 
 
 def _is_frame(plain: list[np.ndarray]) -> bool:
-    """Whether photos have the colour at the same pixels; those of other sizes than most are left out."""
+    """Whether what photos show within the colour has one shape; photos of other sizes than most are left
+    out."""
     shapes = [one.shape for one in plain]
     usual = max(set(shapes), key=shapes.count)
-    alike = np.stack([one for one in plain if one.shape == usual])
-    other = np.roll(alike, max(len(alike) // 3, 1), axis=0)  # frames of a film are like their neighbours
-    either, both = alike | other, alike & other
-    return len(alike) > 1 and both.sum() >= FRAME * either.sum()
+    within = ~np.stack([one for one in plain if one.shape == usual])
+    other = np.roll(within, max(len(within) // 3, 1), axis=0)  # frames of a film are like their neighbours
+    either, both = within | other, within & other
+    return len(within) > 1 and both.sum() >= FRAME * either.sum()
 
 
 def _plain(view: TrainView, level: np.ndarray) -> np.ndarray:
