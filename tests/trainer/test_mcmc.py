@@ -12,7 +12,7 @@ from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.functional import Visibility
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats
-from splatview.trainer.strategies.mcmc import DEAD, MCMCStrategy, shared
+from splatview.trainer.strategies.mcmc import DEAD, NOISE_EXTENT, MCMCStrategy, shared
 from splatview.trainer.strategies.ops import opacities_of
 
 
@@ -38,7 +38,7 @@ class Scene:
         self.splats = splats_of(opacities)
         self.optimizer = SelectiveAdam(self.splats, TrainSettings().rates(0, 1.0), threads=1)
         self.strategy = MCMCStrategy(TrainSettings(strategy="mcmc", **options))
-        self.state = self.strategy.initialize_state(self.splats, extent=1.0)
+        self.state = self.strategy.initialize_state(self.splats, extent=NOISE_EXTENT)
 
     def refine(self, progress: float) -> Splats:
         rng = np.random.default_rng(0)
@@ -115,6 +115,23 @@ def test_noise_has_the_shape_of_the_splat_and_spares_the_opaque() -> None:
     expected = rotation @ np.diag([0.25, 0.01, 1.0]) @ rotation.T  # noise is covariance · normal
     np.testing.assert_allclose(np.cov(shift[1::2].T), (fade * expected) @ (fade * expected).T, atol=0.02)
     np.testing.assert_allclose(shift[1::2].mean(axis=0), 0, atol=0.02)
+
+
+@pytest.mark.parametrize("unit", [1e-2, 30.0, 1e3])
+def test_noise_is_the_same_in_any_unit(unit: float) -> None:
+    """A capture in millimetres explores as one in metres does; rates are times the extent."""
+
+    def moved(unit: float) -> np.ndarray:
+        scene = Scene([0.001] * 300)
+        scene.state["extent"] *= unit
+        parameters = scene.splats.arrays
+        parameters.means[:] = 0
+        parameters.log_scales[:] = np.log([0.05, 0.01, 0.1]) + math.log(unit)
+        return scene.shake([np.arange(300, dtype=np.int32)], 1e-4 * unit, 3) / unit
+
+    metres = moved(1.0)
+    assert np.abs(metres).max() > 1e-3
+    np.testing.assert_allclose(moved(unit), metres, rtol=1e-4, atol=1e-9)
 
 
 def test_noise_depends_on_seed_and_step_only() -> None:

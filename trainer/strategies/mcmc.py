@@ -50,6 +50,16 @@ NOISE_SHARPNESS = 100.0
 NOISE_MIDDLE = 0.995
 """Noise fades with opacity o as 1 / (1 + exp(-sharpness·(1 - o - middle)))."""
 
+NOISE_EXTENT = 2.5
+"""Extent at which noise is as large as in Kheradmand et al. 2024. There it is a splat's covariance, in
+square units, times the rate of positions, in units, so that captures in millimetres had a million times
+as much as those in metres: `banana` in units a thousand times as small scored 28.42 dB with 6,900 splats
+that were left, in its own (an extent of 5.1) 28.76 with 17,700 (a minute at half the bench's size, a
+third held out). Now it is alike in any unit. One run each, with this and as it was: `banana` 28.74 and
+28.76, by another seed 28.73 and 28.87 (with 5 28.88, with 1 28.58), `skull RGBA 100` (an extent of 3.0)
+33.48 and 33.39 (with 5 33.10), `miku` (6.0) 30.34 and 30.22, `guitar RGBA 24` (6.4) 38.68 and 38.93; with
+5 `miku 12 near` (1.9) 28.93 and 29.16."""
+
 LEAST_NOISE = 1e-4
 """Below this share of its full size noise is left out."""
 
@@ -90,7 +100,7 @@ class MCMCSettings(DensitySettings):
     grow_for: float = 12_000 / PAPER_ITERATIONS
     """mcmc: share of the run, from `refine_from` on, in which the number grows to `max_splats`."""
     noise: float = 5e5
-    """mcmc: noise on positions, in units of their rate."""
+    """mcmc: noise on positions, in units of their rate. See `NOISE_EXTENT`."""
     opacity_reg: float = LEAST_REG
     """mcmc: weight of the mean opacity in the loss. See `automatic_regularisation` and `LEAST_COUNTED`."""
     scale_reg: float = LEAST_REG
@@ -152,7 +162,7 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         """Adds noise to the positions of splats just moved, and refines where that is due."""
         means, quats, log_scales, opacity_logits, _ = splats.arrays
         seed = np.uint64(mixed(self.settings.seed * 0x9E3779B97F4A7C15 + step))
-        amount = self.settings.noise * optimizer.rates.means
+        amount = self.settings.noise * optimizer.rates.means * (NOISE_EXTENT / state["extent"]) ** 2
         run(
             shake,
             [(indices,) for indices in info.pieces if len(indices)],
