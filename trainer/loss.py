@@ -12,7 +12,12 @@ from splatview.raster.compiling import TASKS_PER_THREAD, even_ranges, run
 from splatview.trainer.loss_kernels import MAPS, gradient_rows, row_length, similarity_rows
 
 SSIM_WEIGHT = 0.2
-"""w (Kerbl et al. 2023, section 5.1)."""
+"""w (Kerbl et al. 2023, section 5.1).
+
+Dropped, a minute at half the bench's size, a third held out: 0, `skull RGBA 100` 32.84 in place of 33.39
+dB; an L1 that is square below 0.05, 33.36, and `banana` 28.80 and 28.39 in place of 28.76 and 28.87 (two
+seeds); below 0.02, 33.41; with a square of ten times the weight added, 33.43.
+"""
 
 SMALLEST_TASK = 24
 """Rows that a task has at least: each begins by filtering 10 rows that its neighbour filters too."""

@@ -218,8 +218,9 @@ class TrainSettings(StrategySettings):
     settle_from: float = 0.5
     """Share of the run from which all rates but that of the means, which has its own end, go down."""
     settle_to: float = 0.1
-    """Factor of those rates at the end, reached exponentially: the last photos do not pull the scene their
-    way."""
+    """Factor of those rates at the end, reached exponentially: the last photos do not pull the scene
+    their way. Dropped: the mean of the last fifth of the run beside it, `banana` 28.76 and 28.86 dB in
+    place of 28.76 and 28.87 (two seeds), `miku` 30.22 and 30.22, `skull RGBA 100` 33.36 and 33.39."""
     max_aspect: float = math.inf
     """No splat is longer than so many times its middle axis. See `automatic_max_aspect` and
     `FULL_REG_LOSS`."""
