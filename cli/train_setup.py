@@ -395,9 +395,8 @@ def _new_trainer(
         absolute_gradient=bool(options.abs_grad),
         resolution=_resolution(options.coarse),
         start=options.start or "auto",
+        **({} if options.background in (None, "auto") else {"background": options.background}),
     )
-    if options.background not in (None, "auto"):
-        settings = replace(settings, background=options.background)
     planned = plan(memory, bound, settings.max_splats)
     settings = replace(settings, max_splats=planned.splats)
     threads = _threads(options, group)
