@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
+from typing import Literal, NoReturn
 
 import numpy as np
 
@@ -118,6 +118,11 @@ def count(text: str) -> int:
     if not re.fullmatch(r"\+?\d{1,9}", text) or int(text) < 1:
         raise argparse.ArgumentTypeError(f"must be a whole number of at least 1, got {text!r}")
     return int(text)
+
+
+def downscale(text: str) -> int | Literal["auto"]:
+    """The value of --downscale."""
+    return "auto" if text == "auto" else count(text)
 
 
 def memory(text: str) -> int:

@@ -26,6 +26,7 @@ from splatview.cli.arguments import (
     check_camera_options,
     chosen_orbit,
     count,
+    downscale,
     orbit_of,
     positive,
 )
@@ -111,7 +112,12 @@ def make_parser() -> Parser:
     training.add_argument(
         "--seeds", type=count, metavar="N", help=f"runs of each shortcut (default: {TRAIN_SEEDS})"
     )
-    training.add_argument("--downscale", type=count, metavar="K", help="photos smaller by K (default: 1)")
+    training.add_argument(
+        "--downscale",
+        type=downscale,
+        metavar="K",
+        help="photos smaller by K each way (default: auto, by the minutes)",
+    )
     group.add_argument("--plot", type=Path, metavar="P.png", help="time against accuracy, drawn")
     return parser
 
@@ -129,7 +135,7 @@ def run(arguments: list[str]) -> int:
             args.train,
             minutes=args.minutes or TRAIN_MINUTES,
             seeds=args.seeds or TRAIN_SEEDS,
-            downscale=args.downscale or 1,
+            downscale=args.downscale or "auto",
             knobs=None if args.knobs is None else args.knobs.split(","),
             as_text=not args.json,
         )

@@ -19,7 +19,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from splatview.cli.arguments import Parser, colour, count, index, memory, positive
+from splatview.cli.arguments import Parser, colour, count, downscale, index, memory, positive
 from splatview.cli.main import EXIT_BAD_INPUT, EXIT_INTERRUPTED, make_console, no_window
 from splatview.cli.train_setup import Run, ToldElsewhere, prepare, process_age, ready_kernels, say
 from splatview.scene import InputError
@@ -37,7 +37,8 @@ from splatview.trainer.distributed import (
     stopping_between_steps,
 )
 from splatview.trainer.evaluate import Evaluation
-from splatview.trainer.run import Outputs, RunProgress, TrainingRun
+from splatview.trainer.photo_size import LARGEST_SIDE
+from splatview.trainer.run import EVALUATE_EVERY, Outputs, RunProgress, TrainingRun
 from splatview.trainer.settings import PAPER_ITERATIONS
 from splatview.trainer.strategies import STRATEGIES
 
@@ -262,10 +263,6 @@ def _undisturbed() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-EVAL_EVERY = 1000
-"""Steps between evaluations where nothing else is asked for."""
-
-
 def make_parser() -> Parser:
     parser = Parser(
         "train",
@@ -295,7 +292,13 @@ def make_parser() -> Parser:
     )
     group.add_argument("--minutes", type=positive, metavar="M", help="end after M minutes, all included")
     group = parser.add_argument_group("recipe")
-    group.add_argument("--downscale", type=count, metavar="K", help="photos smaller by K (default: 1)")
+    group.add_argument(
+        "--downscale",
+        type=downscale,
+        metavar="K",
+        help=f"photos smaller by K each way (default: auto: to {LARGEST_SIDE} px at most, and smaller where"
+        " --minutes or memory ask for it)",
+    )
     group.add_argument(
         "--lens",
         choices=get_args(LensUse),
@@ -320,7 +323,7 @@ def make_parser() -> Parser:
         type=levels,
         metavar="SHARE:K,..",
         help="photos smaller by K until this share of the run, or none or auto, for as long as they teach"
-        " (default: 0.3:2)",
+        " (default: 0.3:2, and smaller ones until 0.8 where --minutes has no steps enough for all pixels)",
     )
     group.add_argument(
         "--start",
@@ -375,7 +378,10 @@ def make_parser() -> Parser:
     )
     group = parser.add_argument_group("report")
     group.add_argument(
-        "--eval-every", type=count, default=EVAL_EVERY, metavar="N", help=f"steps (default: {EVAL_EVERY})"
+        "--eval-every",
+        type=count,
+        metavar="N",
+        help=f"steps (default: {EVALUATE_EVERY}, where that costs little)",
     )
     group.add_argument("--metrics", type=Path, metavar="M.jsonl", help="one JSON object a line, added to it")
     group.add_argument("--resume", type=Path, metavar="CKPT", help="go on from a checkpoint")

@@ -6,7 +6,6 @@ import argparse
 import hashlib
 import os
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -47,8 +46,8 @@ from splatview.trainer.memory import (
     plan,
     run_memory,
     sizes_of_capture,
-    sizes_of_files,
 )
+from splatview.trainer.photo_size import SizeChoice
 from splatview.trainer.run import Outputs
 from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_steps
 from splatview.trainer.strategies import STRATEGIES
@@ -164,7 +163,9 @@ def _prepare(
     batch = checkpoint.settings.batch if checkpoint else options.batch or group.size
     if not batch >= group.size:
         raise InputError(f"{group.size} processes cannot share a batch of {batch}; start at most {batch}")
-    downscale = options.downscale or (int(checkpoint.notes.get("downscale", 1)) if checkpoint else 1)
+    asked_size = None if options.downscale == "auto" else options.downscale
+    if checkpoint is not None:
+        asked_size = asked_size or int(checkpoint.notes.get("downscale", 1))
     # Checkpoints from before there was a choice have no word about it.
     lens = checkpoint.notes.get("lens", "undistort") if checkpoint else options.lens or DEFAULT_LENS_USE
     masks = checkpoint.notes.get("masks", "ignore") if checkpoint else options.masks or "ignore"
@@ -190,23 +191,21 @@ def _prepare(
         more = {"machine": machine, "batch": batch, "stereo": stereo, "window": window}
         return _room_for(sizes, bound, options, checkpoint, **more)
 
+    size = SizeChoice(asked_size, options.minutes, machine.threads, room_for)
     capture = _with_status(
         console,
         "Reading photos",
         lambda progress: load_capture(
             folder,
-            downscale=downscale,
+            downscale=size,
             background=background,
             lens=lens,
             masks=masks,
             progress=progress,
-            # The least that it can be: what photos really are is told once they are read.
-            on_poses=lambda posed: room_for(
-                replace(sizes_of_files(posed.entries, downscale), trained=0, planes=3),
-                points=sys.maxsize,
-            ),
         ),
     )
+    if size.line:
+        say(console, size.line)
     memory = room_for(sizes_of_capture(capture), points=own_points(capture)["points"])
     centre = capture.centre
     capture = capture.about(centre)
@@ -223,7 +222,7 @@ def _prepare(
     loss = _loss(options, checkpoint, console)
     if checkpoint is None:
         trainer, planned = _new_trainer(
-            capture, views, centre, seed, batch, options, group, loss, console, memory, bound
+            capture, views, centre, seed, batch, options, group, loss, console, memory, bound, machine.threads
         )
         if options.iterations is None and automatic_steps(len(views)) is not None:
             say(
@@ -248,7 +247,7 @@ def _prepare(
         options.antialiased or (checkpoint.notes.get("antialiased") if checkpoint else None) or "auto"
     )
     notes: dict[str, Any] = {
-        "downscale": downscale,
+        "downscale": size.factor,
         "lens": lens,
         "masks": masks,
         "antialiased": antialiased,
@@ -374,6 +373,7 @@ def _new_trainer(
     console: Console,
     memory: RunMemory,
     bound: Bound,
+    cores: int,
 ) -> tuple[Trainer, MemoryPlan]:
     from splatview.trainer.setup import settings_for, trainer_for
 
@@ -393,8 +393,9 @@ def _new_trainer(
         exposure=options.exposure or "auto",
         sky=options.sky or "auto",
         absolute_gradient=bool(options.abs_grad),
-        resolution=_resolution(options.coarse),
+        threads=cores,
         start=options.start or "auto",
+        **({} if options.coarse is None else {"resolution": _resolution(options.coarse)}),
         **({} if options.background in (None, "auto") else {"background": options.background}),
     )
     planned = plan(memory, bound, settings.max_splats)

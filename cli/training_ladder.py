@@ -6,8 +6,9 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from rich import box
@@ -28,11 +29,13 @@ from splatview.measure.training_ladder import (
     training_as_json,
     training_cells,
 )
+from splatview.raster.compiling import available_threads
 from splatview.renderers.demo_cache import cached_demo_capture
 from splatview.scene import InputError
 from splatview.scene.captures import Capture, load_capture
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.memory import begins_by_stereo, own_points
+from splatview.trainer.photo_size import downscale_for
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.torch_import import require_torch
 from splatview.trainer.views import TrainView, TrainViews, train_views
@@ -50,7 +53,13 @@ DEMO = "demo"
 
 
 def run_training_ladder(
-    name: str, *, minutes: float, seeds: int, downscale: int, knobs: list[str] | None, as_text: bool
+    name: str,
+    *,
+    minutes: float,
+    seeds: int,
+    downscale: int | Literal["auto"],
+    knobs: list[str] | None,
+    as_text: bool,
 ) -> int:
     """Trains every rung once a seed, in turn, and prints PSNR at equal seconds: a table, or JSON.
     `name`: the capture's folder, or DEMO; `knobs`: those to measure beside the baseline, None: all.
@@ -63,7 +72,8 @@ def run_training_ladder(
     console = make_console()
     folder = cached_demo_capture() if name == DEMO else name
     with console.status("Reading photos"):
-        capture = load_capture(folder, downscale=downscale)
+        by_time = partial(downscale_for, minutes=minutes, threads=available_threads())
+        capture = load_capture(folder, downscale=by_time if downscale == "auto" else downscale)
         capture = capture.about(capture.centre)
     held_out = train_views(capture.held_out)
     if not held_out:

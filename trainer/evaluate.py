@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +41,37 @@ class Evaluation(NamedTuple):
         return float(np.mean([score.ssim for score in self.scores]))
 
 
+def pictures(
+    parameters: Parameters,
+    views: Sequence[TrainView],
+    settings: RenderSettings,
+    *,
+    threads: int | None = None,
+    exposures_differ: bool = False,
+) -> Iterator[np.ndarray]:
+    """What the scene shows of each photo, in turn: (H, W, 3), float32, not clipped.
+
+    `exposures_differ`: each half of a picture is at the exposure that fits the other half, see `exposure`;
+    else pictures are as they are.
+    """
+    workspace = Workspace()
+    for view in views:
+        picture = draw_frame(parameters, view.camera, settings, workspace, threads=threads).image[..., :3]
+        yield fitted_by_halves(picture, view) if exposures_differ else picture
+
+
+def evaluation_of(views: Sequence[TrainView], pictures: Iterable[np.ndarray]) -> Evaluation:
+    """Scores of pictures (H, W, 3) of photos' views. PSNR is over the pixels that the mask leaves; for SSIM,
+    whose windows reach over its edge, the others are grey in picture and photo."""
+    scores = []
+    for view, picture in zip(views, pictures, strict=True):
+        pair = [picture, view.pixels.astype(np.float32) / 255]
+        if view.mask is not None:
+            pair = [np.where(view.mask[..., None], pixels, np.float32(0.5)) for pixels in pair]
+        scores.append(Score(view.camera.name, masked_psnr(picture, view), ssim(*pair)))
+    return Evaluation(tuple(scores))
+
+
 def evaluate(
     parameters: Parameters,
     views: Sequence[TrainView],
@@ -48,28 +79,10 @@ def evaluate(
     *,
     threads: int | None = None,
     exposures_differ: bool = False,
-    on_picture: Callable[[TrainView, np.ndarray], None] | None = None,
 ) -> Evaluation:
-    """Draws every photo's view and measures it. PSNR is over the pixels that the mask leaves; for SSIM, whose
-    windows reach over its edge, the others are grey in picture and photo.
-
-    `exposures_differ`: measure each half of a picture at the exposure that fits the other half, see
-    `exposure`; else pictures are measured as they are.
-    `on_picture` receives each photo and its picture (H, W, 3), float32, not clipped.
-    """
-    workspace = Workspace()
-    scores = []
-    for view in views:
-        picture = draw_frame(parameters, view.camera, settings, workspace, threads=threads).image[..., :3]
-        if exposures_differ:
-            picture = fitted_by_halves(picture, view)
-        if on_picture is not None:
-            on_picture(view, picture)
-        pair = [picture, view.pixels.astype(np.float32) / 255]
-        if view.mask is not None:
-            pair = [np.where(view.mask[..., None], pixels, np.float32(0.5)) for pixels in pair]
-        scores.append(Score(view.camera.name, masked_psnr(picture, view), ssim(*pair)))
-    return Evaluation(tuple(scores))
+    """Scores of a scene on photos; arguments as of `pictures`."""
+    drawn = pictures(parameters, views, settings, threads=threads, exposures_differ=exposures_differ)
+    return evaluation_of(views, drawn)
 
 
 def masked_psnr(picture: np.ndarray, view: TrainView) -> float:

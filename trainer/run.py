@@ -13,7 +13,7 @@ import os
 import secrets
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
@@ -29,7 +29,7 @@ from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.counters import NothingSeen, PluginError, StepReport
 from splatview.trainer.distributed import PeerLost
 from splatview.trainer.effects import EXPOSURE, FEW_PHOTOS, with_easing, with_exposure
-from splatview.trainer.evaluate import Evaluation, evaluate, side_by_side
+from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
 from splatview.trainer.memory import MemoryPlan
 from splatview.trainer.views import TrainView
 
@@ -42,8 +42,11 @@ CHECKPOINT_SECONDS = 60.0
 METRICS_STEPS = 50
 """Steps between lines of metrics, besides those of evaluations."""
 
+EVALUATE_EVERY = 1000
+"""Steps between evaluations where nothing else is asked for."""
+
 EVALUATION_SHARE = 0.05
-"""Share of the time that evaluations by the clock may take."""
+"""Share of the time for evaluations that nobody has asked for: of large photos one takes seconds."""
 
 MOST_PICTURES = 8
 """Side-by-side pictures that are written."""
@@ -175,7 +178,7 @@ class TrainingRun:
         outputs: Outputs,
         *,
         started: float,
-        eval_every: int,
+        eval_every: int | None = None,
         eval_seconds: float | None = None,
         notes: dict[str, Any] | None = None,
         effects: tuple[Effect, ...] = (),
@@ -184,8 +187,9 @@ class TrainingRun:
         on_note: Callable[[str], None] = lambda note: None,
     ) -> None:
         """`started`: time.perf_counter() of when the run, or this part of it, began; `eval_every`: steps
-        between evaluations, which `eval_seconds` makes more frequent; `notes` go into checkpoints; `effects`
-        and `memory` of the run are told in the metrics;
+        between evaluations, None: EVALUATE_EVERY, as far as EVALUATION_SHARE allows; `eval_seconds` makes
+        them more frequent; `notes` go into checkpoints; `effects` and `memory` of the run are told in the
+        metrics;
         `on_progress` is called after every step, `on_note` with a line for the user."""
         self.trainer, self.held_out, self.outputs = trainer, list(held_out), outputs
         self.eval_every, self.eval_seconds, self.notes = eval_every, eval_seconds, notes or {}
@@ -283,18 +287,22 @@ class TrainingRun:
         self.on_progress(progress)
         return progress
 
-    def evaluate(self, on_picture: Callable[[TrainView, np.ndarray], None] | None = None) -> Evaluation:
-        """Measures the scene as it is on the held-out photos, of which there must be some."""
-        trainer, begun = self.trainer, time.perf_counter()
-        self.evaluation = evaluate(
+    def _pictures(self, views: Sequence[TrainView]) -> Iterator[np.ndarray]:
+        """What the scene as it is shows of held-out photos, in turn."""
+        trainer = self.trainer
+        return pictures(
             trainer.splats.arrays,
-            self.held_out,
+            views,
             trainer.render_settings,
             threads=trainer.threads,
             exposures_differ=trainer.exposures.is_on,
-            on_picture=on_picture,
         )
-        self.evaluated_at = trainer.counters.iteration
+
+    def evaluate(self) -> Evaluation:
+        """Measures the scene as it is on the held-out photos, of which there must be some."""
+        begun = time.perf_counter()
+        self.evaluation = evaluation_of(self.held_out, self._pictures(self.held_out))
+        self.evaluated_at = self.trainer.counters.iteration
         self._evaluated = time.perf_counter()
         self._evaluation_cost = self._evaluated - begun
         return self.evaluation
@@ -336,26 +344,27 @@ class TrainingRun:
         if not self.held_out:
             return None
         folder = self.outputs.pictures
-        wanted = {view.camera.name for view in self.held_out[:: -(-len(self.held_out) // MOST_PICTURES)]}
-
-        def write(view: TrainView, picture: np.ndarray) -> None:
-            if view.camera.name in wanted:
-                name = Path(view.camera.name.replace("/", "_").replace("\\", "_")).stem
-                side_by_side(view, picture).save(folder / f"{name}.png")
-
+        measured = self.evaluation
+        if measured is None or self.evaluated_at != self.trainer.counters.iteration:
+            measured = self.evaluate()
+        shown = self.held_out[:: -(-len(self.held_out) // MOST_PICTURES)]
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            return self.evaluate(write)
+            for view, picture in zip(shown, self._pictures(shown), strict=True):
+                name = Path(view.camera.name.replace("/", "_").replace("\\", "_")).stem
+                side_by_side(view, picture).save(folder / f"{name}.png")
         except OSError as error:
             raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+        return measured
 
     def _evaluation_is_due(self, iteration: int) -> bool:
-        if iteration % self.eval_every == 0 or self.trainer.done:
+        if self.trainer.done or (self.eval_every and iteration % self.eval_every == 0):
             return True
-        if self.eval_seconds is None:
+        since = time.perf_counter() - self._evaluated
+        if not since >= self._evaluation_cost / EVALUATION_SHARE:
             return False
-        pause = max(self.eval_seconds, self._evaluation_cost / EVALUATION_SHARE)
-        return time.perf_counter() - self._evaluated >= pause
+        by_steps = self.eval_every is None and iteration % EVALUATE_EVERY == 0
+        return by_steps or (self.eval_seconds is not None and since >= self.eval_seconds)
 
     def _tell_easing(self) -> None:
         """Notes by what share the rules for few photos are in force, where that has changed by a quarter."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 
+from splatview.raster.compiling import available_threads
 from splatview.scene import Gaussians
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
 from splatview.scene.progress import NO_PROGRESS, Progress
@@ -32,6 +34,7 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_capture,
 )
+from splatview.trainer.photo_size import automatic_levels, downscale_for
 from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
 from splatview.trainer.settings import (
     FULL_REG_LOSS,
@@ -64,10 +67,12 @@ def settings_for(
     max_splats: int | None = None,
     memory: int | None = None,
     antialiased: Antialiased = "auto",
+    threads: int | None = None,
     **fields: Any,
 ) -> TrainSettings:
     """The recipe that suits a capture; `fields` are those of `TrainSettings`, which stand as they are.
-    `memory`: bytes that the run may take, by which the number of splats is limited.
+    `memory`: bytes that the run may take, by which the number of splats is limited; `threads`: those it will
+    have, None for all cores.
 
     Raises:
         InputError: the memory is too little for the photos and a least number of splats.
@@ -87,6 +92,11 @@ def settings_for(
         "max_aspect": automatic_max_aspect(photos),
         "sh_divisor": automatic_sh_divisor(views.photos_of_a_place(capture.points)),
         "model": model_for(capture, antialiased),
+        "resolution": automatic_levels(
+            [(view.camera.width, view.camera.height) for view in views.all],
+            minutes,
+            threads or available_threads(),
+        ),
     }
     if "background" not in fields:
         backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
@@ -213,7 +223,7 @@ def train(
     loss: Callable[[LossStep], torch.Tensor] | str | Path | None = None,
     iterations: int | None = None,
     minutes: float | None = None,
-    downscale: int = 1,
+    downscale: int | Literal["auto"] = "auto",
     lens: LensUse = DEFAULT_LENS_USE,
     threads: int | None = None,
     on_step: Callable[[StepReport], object] = lambda report: None,
@@ -222,7 +232,8 @@ def train(
     """Trains a scene on a capture, or on the folder of one, as `splatview train` does; writes nothing.
 
     `loss`: a loss of one's own, a function or a file with one, see `plugin`; `downscale` and `lens` are of
-    photos that are read from a folder; `on_step` is called after each step; `settings` are those of
+    photos that are read from a folder, "auto" makes them smaller by what there is time for, see `photo_size`;
+    `on_step` is called after each step; `settings` are those of
     `settings_for`. Ctrl-C ends it early, and what is there is returned.
 
     Raises:
@@ -236,11 +247,13 @@ def train(
     elif loss is not None:
         plugin = load_plugin(Path(loss))
     if not isinstance(capture, Capture):
-        capture = load_capture(capture, downscale=downscale, lens=lens)
+        cores = threads or available_threads()
+        factor = partial(downscale_for, minutes=minutes, threads=cores) if downscale == "auto" else downscale
+        capture = load_capture(capture, downscale=factor, lens=lens)
     centre = capture.centre
     capture = capture.about(centre)
     views = TrainViews(train_views(capture.train), settings.get("seed", 0))
-    recipe = settings_for(capture, views, iterations=iterations, minutes=minutes, **settings)
+    recipe = settings_for(capture, views, iterations=iterations, minutes=minutes, threads=threads, **settings)
     trainer = trainer_for(capture, views, recipe, centre=centre, threads=threads, loss=plugin)
     with kernel_threads_only():
         try:

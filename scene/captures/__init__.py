@@ -19,35 +19,33 @@ from splatview.scene.progress import NO_PROGRESS, Progress
 def load_capture(
     path: str | os.PathLike[str],
     *,
-    downscale: int = 1,
+    downscale: int | Callable[[PosedPhotos], int] = 1,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     lens: LensUse = DEFAULT_LENS_USE,
     masks: MaskUse = "ignore",
     progress: Progress = NO_PROGRESS,
-    on_poses: Callable[[PosedPhotos], object] = lambda posed: None,
 ) -> Capture:
     """The capture in a folder, or by its .json file; all photos are read once, so that damage shows early.
 
-    Photos become floor(w / downscale) x floor(h / downscale) by averaging areas; `lens` says what is
-    done about distortion, `masks` what masks mean; transparent photos are laid over `background`, RGB in
-    0..1. Every 8th photo by sorted name, starting with the first, is held out unless the capture says which.
-    `on_poses` is called with what the capture says before photos are read, and may raise.
+    Photos become floor(w / downscale) x floor(h / downscale) by averaging areas, and `downscale` may choose
+    by what the capture says before its photos are read, or raise; `lens` says what is done about distortion,
+    `masks` what masks mean; transparent photos are laid over `background`, RGB in 0..1. Every 8th photo by
+    sorted name, starting with the first, is held out unless the capture says which.
 
     Raises:
         InputError: there is no capture, or a part of it is damaged or does not fit the rest.
         Cancelled: nobody waits for it any more.
     """
-    if not (downscale >= 1 and downscale == int(downscale)):
+    if not (callable(downscale) or (downscale >= 1 and downscale == int(downscale))):
         raise InputError(f"photos can be downscaled by a whole number of at least 1, not {downscale}")
     path = Path(path)
     # Numbers out of all bounds are told once they are put together, as what is wrong with the capture.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         folder, posed = read_poses(path, progress.part(0.0, POSES))
-        on_poses(posed)
         return capture_of(
             posed,
             name=capture_name(folder),
-            downscale=downscale,
+            downscale=downscale(posed) if callable(downscale) else downscale,
             background=background,
             lens=lens,
             masks=masks,

@@ -161,13 +161,17 @@ def _pixels_that_see(
     return seen
 
 
-def area_averaged(image: np.ndarray, width: int, height: int) -> np.ndarray:
+def area_averaged(
+    image: np.ndarray, width: int, height: int, extent: tuple[float, float] | None = None
+) -> np.ndarray:
     """(H, W, C) uint8 -> (height, width, C) uint8, no larger than it was: each pixel is the mean of the area
-    that it covers, pixels of the edge in parts."""
+    that it covers, pixels of the edge in parts. `extent`: what there is of the image in its pixels (x, y),
+    where the last ones reach beyond."""
     if image.shape[:2] == (height, width):
         return image
-    rows = _average_rows(image, height)
-    columns = _average_rows(np.ascontiguousarray(rows.transpose(1, 0, 2)), width)
+    x, y = extent or (image.shape[1], image.shape[0])
+    rows = _average_rows(image, height, y)
+    columns = _average_rows(np.ascontiguousarray(rows.transpose(1, 0, 2)), width, x)
     return (columns.transpose(1, 0, 2) + 0.5).astype(np.uint8)
 
 
@@ -180,12 +184,12 @@ def wholly_valid(mask: np.ndarray, width: int, height: int) -> np.ndarray:
     return ignored == 0
 
 
-def _average_rows(image: np.ndarray, count: int) -> np.ndarray:
-    """(H, W, C) -> (count, W, C) float32."""
+def _average_rows(image: np.ndarray, count: int, extent: float) -> np.ndarray:
+    """(H, W, C) -> (count, W, C) float32, of the first `extent` rows."""
     height = len(image)
     flat = image.reshape(height, -1)
     out = np.empty((count, flat.shape[1]), dtype=np.float32)
-    edges = np.arange(count + 1) * (height / count)
+    edges = np.arange(count + 1) * (extent / count)
     for i in range(count):
         first = min(int(edges[i]), height - 1)
         last = min(int(np.ceil(edges[i + 1] - 1e-9)), height)
@@ -207,6 +211,8 @@ class Decoded:
     """(H, W, 3) uint8, laid over the background where it is transparent."""
     alpha: np.ndarray | None = None
     """(H, W) uint8; None where it is opaque everywhere."""
+    smaller: int = 1
+    """By what the decoder has made it smaller each way, edges rounded up."""
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -216,6 +222,13 @@ def image_size(path: Path) -> tuple[int, int]:
             return stored_size(image)
     except Exception as error:
         raise _undecodable(path, error) from None
+
+
+LEAST_AVERAGED = 4
+"""Pixels each way that are averaged to one at least, of what a decoder has made smaller itself: it cuts
+frequencies off, and what is left of 8x8 pixels by half its size and averages of 4x4 differs from averages of
+all by 45 and 52 dB (photos of `miku` and `banana`), of 2x2 by 42 and 46. A photo of 12 megapixels is decoded
+and averaged in 0.035 s of processor time in place of 0.16."""
 
 
 def downscaled_size(width: int, height: int, downscale: int) -> tuple[int, int]:
@@ -244,16 +257,17 @@ def _read_pixels(
     masks: MaskUse,
 ) -> Pixels:
     size = entry.camera.width, entry.camera.height
-    decoded = _decode(entry.path, size, background)
-    _check_size(entry.path, decoded.rgb, *size)
+    cuts, undistorts = masks == "cut-out", entry.camera.lens is not None and lens == "undistort"
+    # Masks and lenses are of the whole photo's pixels.
+    whole = undistorts or (cuts and entry.mask is not None)
+    decoded = _decode(entry.path, size, background, 1 if whole else max(downscale // LEAST_AVERAGED, 1))
     image, alpha, mask = decoded.rgb, decoded.alpha, None
     if entry.mask is not None:
         mask = _decode_mask(entry.mask, size)
-        _check_size(entry.mask, mask, *size)
-        if masks == "cut-out":
+        if cuts:
             image, alpha = _cut_out(image, alpha, mask, background)
             mask = None
-    if entry.camera.lens is not None and lens == "undistort":
+    if undistorts:
         # The mask goes along as a fourth channel: all of a pixel's sources must be white for it to count.
         channels = [image] if mask is None else [image, np.where(mask, 255, 0).astype(np.uint8)[..., None]]
         image, valid = undistorted(np.concatenate(channels, axis=2), entry.camera)
@@ -263,7 +277,8 @@ def _read_pixels(
             alpha = undistorted(alpha[..., None], entry.camera)[0][..., 0]
         image, mask = image[..., :3], valid
     width, height = downscaled_size(*size, downscale)
-    image = np.ascontiguousarray(area_averaged(image, width, height))
+    extent = size[0] / decoded.smaller, size[1] / decoded.smaller
+    image = np.ascontiguousarray(area_averaged(image, width, height, extent))
     image.flags.writeable = False
     if alpha is not None:
         alpha = np.ascontiguousarray(area_averaged(alpha[..., None], width, height)[..., 0])
@@ -290,15 +305,24 @@ def _cut_out(
     return np.where(mask[..., None], image, behind), np.where(mask, opaque, 0).astype(np.uint8)
 
 
-def _decode(path: Path, size: tuple[int, int], background: tuple[float, float, float]) -> Decoded:
+def _decode(
+    path: Path, size: tuple[int, int], background: tuple[float, float, float], smaller: int = 1
+) -> Decoded:
+    """The file's pixels. A JPEG of the (width, height) `size` is decoded at once at a half, a quarter or an
+    eighth of it, where it may be `smaller` by that much."""
+    scale = 1
     try:
         with open_image(path) as file:
             _check_header(path, file, size)
+            if file.format == "JPEG" and file.size == size:
+                file.draft(None, (size[0] // smaller, size[1] // smaller))
+                scale, size = round(size[0] / file.size[0]), file.size
             image = as_posed(file, size)
+            _check_size(path, image.size, size)
             if image.mode in ("I", "I;16", "I;16B", "I;16L", "F"):
                 return Decoded(_deep_grey(np.asarray(image)))
             if not (image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in image.info):
-                return Decoded(np.array(image.convert("RGB")))
+                return Decoded(np.array(image.convert("RGB")), smaller=scale)
             rgba = np.array(image.convert("RGBA"))
     except Exception as error:
         raise _undecodable(path, error) from None
@@ -329,6 +353,7 @@ def _decode_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
         with open_image(path) as file:
             _check_header(path, file, size)
             image = as_posed(file, size)
+            _check_size(path, image.size, size)
             if "A" in image.getbands() and image.getextrema()[-1] != (255, 255):
                 # Cut-outs: what is transparent is ignored, whatever colour lies under it.
                 return np.asarray(image.getchannel("A")) >= MASK_THRESHOLD
@@ -355,9 +380,9 @@ def _check_header(path: Path, image: Image.Image, size: tuple[int, int]) -> None
         raise _wrong_size(path, stored, size)
 
 
-def _check_size(path: Path, image: np.ndarray, width: int, height: int) -> None:
-    if image.shape[:2] != (height, width):
-        raise _wrong_size(path, (image.shape[1], image.shape[0]), (width, height))
+def _check_size(path: Path, found: tuple[int, int], wanted: tuple[int, int]) -> None:
+    if found != wanted:
+        raise _wrong_size(path, found, wanted)
 
 
 def _wrong_size(path: Path, found: tuple[int, int], wanted: tuple[int, int]) -> InputError:

@@ -24,6 +24,7 @@ from splatview.trainer import background as threads
 from splatview.trainer import run as sessions
 from splatview.trainer.background import BackgroundTraining, Status, pace_of
 from splatview.trainer.checkpoint import load_checkpoint
+from splatview.trainer.evaluate import Evaluation
 from splatview.trainer.run import Outputs, Stopwatch, TrainingRun
 from splatview.trainer.settings import TrainSettings
 
@@ -32,7 +33,7 @@ from splatview.trainer.settings import TrainSettings
 def make_session(make_trainer, views, tmp_path) -> Callable[..., TrainingRun]:
     """`make_session(eval_every=.., iterations=.., ...)`: a session that writes into `tmp_path`."""
 
-    def make(*, eval_every: int = 1000, **settings: Any) -> TrainingRun:
+    def make(*, eval_every: int | None = 1000, **settings: Any) -> TrainingRun:
         outputs = Outputs(
             scene=tmp_path / "toy.ply",
             checkpoint=tmp_path / "toy.checkpoint.safetensors",
@@ -472,3 +473,24 @@ def test_a_small_share_sleeps_between_steps(begin) -> None:
     wait(lambda: thread.status.iteration >= at + 10, "ten steps, and what it slept after them")
     cpu_later, wall_later = thread.post(busy).result(200)
     assert cpu_later - cpu < 0.5 * (wall_later - wall)
+
+
+@pytest.mark.parametrize(("asked", "expected"), [(None, 1), (10, 3)])
+def test_evaluations_that_nobody_asked_for_take_little_of_the_time(
+    make_session, monkeypatch, asked, expected
+):
+    """Large photos take seconds to measure: after the first, the next waits until its share of time is there;
+    where the user has said how often, that holds."""
+    monkeypatch.setattr(sessions, "EVALUATE_EVERY", 10)
+    session = make_session(eval_every=asked, iterations=1000)
+    measured = []
+
+    def costly() -> Evaluation:
+        measured.append(session.trainer.counters.iteration)
+        session._evaluated, session._evaluation_cost = time.perf_counter(), 1000.0
+        return Evaluation(())
+
+    session.evaluate = costly
+    for _ in range(30):
+        session.step()
+    assert measured == [10, 20, 30][:expected]

@@ -240,6 +240,12 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     ctx.combo_click("##Memory/2 GB")
     hand.frames(3)
     found["memory"] = [state.form.memory, free.bound.asked, state.planned_memory().bound.bytes]
+    found["size"] = [state.form.downscale, state.trained_size()]
+    width, height = state.found.size
+    ctx.combo_click(f"##Size of the photos/Half: {width // 2} x {height // 2} px")
+    found["size"] += [state.form.downscale, state.trained_size()]
+    ctx.combo_click(f"##Size of the photos/As time allows: {width} x {height} px")
+    found["size"] += [state.form.downscale]
     ctx.combo_click("##Exposure/Not corrected")
     ctx.combo_click("##Sky/Always added")
     ctx.combo_click("##Background/White")

@@ -69,6 +69,9 @@ def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):
     assert found["photos"] == 10 and found["proposed"] == str(capture.parent / "pond.ply")
     assert found["scene"] == "pond (training)" and found["steps"] >= 5
     assert found["memory"] == ["2 GB", False, 2 * 10**9]
+    by_itself, whole, halved, half, again = found["size"]
+    assert by_itself is None and again is None and halved == 2
+    assert half == [side // 2 for side in whole]
     assert found["bound"] == 2 * 10**9 > found["peak"] and found["told"]
     assert found["chosen"] == ["off", "on", "white"]
     assert found["trained"] == ["off", "on", [1, 1, 1]]

@@ -118,6 +118,7 @@ def main() -> None:
     parser.add_argument("--curve", type=float, default=0, help="seconds between scores along the way")
     options = parser.parse_args()
 
+    from splatview.raster import Workspace, draw_frame
     from splatview.trainer.evaluate import evaluate, side_by_side
     from splatview.trainer.setup import kernel_threads_only, settings_for, trainer_for
     from splatview.trainer.views import TrainViews, train_views
@@ -134,14 +135,13 @@ def main() -> None:
     settings: Any = settings_for(capture, views, minutes=options.minutes, **fields)
     trainer = trainer_for(capture, views, settings, centre=centre, threads=options.threads)
 
-    def score(on_picture: Any = None) -> Any:
+    def score() -> Any:
         return evaluate(
             trainer.splats.arrays,
             held_out,
             trainer.render_settings,
             threads=options.threads,
             exposures_differ=trainer.exposures.is_on,
-            on_picture=on_picture,
         )
 
     curve: list[tuple[float, int, float]] = []
@@ -156,12 +156,13 @@ def main() -> None:
                 curve.append((round(used, 1), trainer.counters.iteration, round(score().psnr, 3)))
                 last = used
 
-    def keep(view: Any, picture: np.ndarray) -> None:
-        if options.pictures is not None:
-            options.pictures.mkdir(parents=True, exist_ok=True)
-            side_by_side(view, picture).save(options.pictures / f"{Path(view.camera.name).stem}.png")
-
-    final = score(keep)
+    if options.pictures is not None:
+        options.pictures.mkdir(parents=True, exist_ok=True)
+        for view in held_out:
+            drawn = draw_frame(trainer.splats.arrays, view.camera, trainer.render_settings, Workspace())
+            file = options.pictures / f"{Path(view.camera.name).stem}.png"
+            side_by_side(view, drawn.image[..., :3]).save(file)
+    final = score()
     plain, fitted = (
         evaluate(trainer.splats.arrays, held_out, trainer.render_settings, exposures_differ=by_halves)
         for by_halves in (False, True)

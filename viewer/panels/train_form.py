@@ -30,6 +30,8 @@ PHOTO_PX = 200
 
 BUTTON_EM = 9.0
 
+AUTOMATIC_SIZE = "auto"
+
 SIZES = {1: "Full size", 2: "Half", 4: "A quarter", 8: "An eighth"}
 
 
@@ -188,16 +190,20 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     )
     if length is not None:
         form.length = length
-    sizes = [f"{SIZES[factor]}: {_size(state, factor)}" for factor in DOWNSCALES]
+    assert state.found is not None
+    automatic = state.found.automatic[form.length]
+    sizes = [f"As time allows: {_size(state, automatic)}"]
+    sizes += [f"{SIZES[factor]}: {_size(state, factor)}" for factor in DOWNSCALES]
     chosen = widgets.combo(
         "Size of the photos",
-        str(form.downscale),
-        [str(factor) for factor in DOWNSCALES],
-        "Smaller photos train faster; larger ones show finer detail, given the time.",
+        str(form.downscale or AUTOMATIC_SIZE),
+        [AUTOMATIC_SIZE, *(str(factor) for factor in DOWNSCALES)],
+        "Smaller photos train faster; larger ones show finer detail, given the time."
+        " As time allows: as large as there are steps enough for.",
         sizes,
     )
     if chosen is not None:
-        form.downscale = int(chosen)
+        form.downscale = None if chosen == AUTOMATIC_SIZE else int(chosen)
     memory = widgets.combo(
         "Memory",
         form.memory,

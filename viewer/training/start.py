@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, Protocol
 
+from splatview.raster.compiling import available_threads
 from splatview.scene import InputError
 from splatview.scene.captures import read_poses
 from splatview.scene.captures.photos import downscaled_size
@@ -29,6 +30,7 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_files,
 )
+from splatview.trainer.photo_size import downscale_for
 from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_limit, automatic_steps
 from splatview.viewer import open as opening
 from splatview.viewer.camera import CameraLists
@@ -65,10 +67,8 @@ BACKGROUNDS = {"auto": "auto", "black": "0,0,0", "white": "1,1,1"}
 WHETHER = ("auto", "on", "off")
 """What can be asked for of a correction: auto looks at the photos."""
 
-PHOTO_SIDES = (800, 1600)
-"""Px: photos larger than the first are halved unless the user says otherwise, than the second quartered."""
-
 DOWNSCALES = (1, 2, 4, 8)
+"""What photos may be made smaller by each way, where the user wants something else than what time allows."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,13 +84,20 @@ class Found:
     """Photos with a pose that are not there."""
     points: int
     """Points that the capture gives to begin with."""
+    automatic: dict[Length, int]
+    """By what photos are made smaller each way unless the user says otherwise, for each length of a run."""
     sizes: dict[int, PhotoSizes]
-    """By each of DOWNSCALES."""
+    """By each of DOWNSCALES and of `automatic`."""
 
 
 def look_through(folder: Path, progress: Progress) -> Found:
     """Raises InputError where `folder` is no capture."""
     _, posed = read_poses(folder, progress)
+    threads = available_threads()
+    automatic: dict[Length, int] = {
+        length: downscale_for(posed, minutes=float(given[1]) if given else None, threads=threads)
+        for length, given in LENGTHS.items()
+    }
     largest = max((entry.camera for entry in posed.entries), key=lambda camera: camera.width * camera.height)
     return Found(
         folder=folder,
@@ -98,7 +105,10 @@ def look_through(folder: Path, progress: Progress) -> Found:
         size=(largest.width, largest.height),
         missing=len(posed.missing),
         points=len(posed.points),
-        sizes={factor: sizes_of_files(posed.entries, factor) for factor in DOWNSCALES},
+        automatic=automatic,
+        sizes={
+            factor: sizes_of_files(posed.entries, factor) for factor in {*DOWNSCALES, *automatic.values()}
+        },
     )
 
 
@@ -108,12 +118,6 @@ def is_capture(path: Path) -> bool:
     if os.path.isdir(path):  # not is_dir: that raises where a name is too long, or locked
         return holds_capture(path)
     return path.name in NERF and os.path.isfile(path)
-
-
-def suitable_downscale(size: tuple[int, int]) -> int:
-    """By how much photos of `size` px are made smaller to begin with."""
-    longer = max(size)
-    return 1 if longer <= PHOTO_SIDES[0] else 2 if longer <= PHOTO_SIDES[1] else 4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -144,7 +148,8 @@ class TrainingForm:
     """What the user has chosen."""
 
     length: Length = "3 minutes"
-    downscale: int = 1
+    downscale: int | None = None
+    """One of DOWNSCALES; None: by the length."""
     memory: str = AUTOMATIC
     """One of MEMORIES."""
     exposure: str = WHETHER[0]
@@ -217,11 +222,17 @@ class TrainingStart(Feature):
             os.path.abspath(self.found.folder),
             *("-o", os.path.abspath(self.form.output)),
             *LENGTHS[self.form.length],
-            *("--downscale", str(self.form.downscale)),
+            *("--downscale", str(self.form.downscale or "auto")),
             *("--exposure", self.form.exposure, "--sky", self.form.sky),
             *("--background", BACKGROUNDS[self.form.background]),
             *(() if self.form.memory == AUTOMATIC else ("--memory", self.form.memory)),
         ]
+
+    @property
+    def downscale(self) -> int:
+        """By what photos are made smaller each way, where memory has room for them."""
+        assert self.found is not None
+        return self.form.downscale or self.found.automatic[self.form.length]
 
     def planned_memory(self) -> MemoryPlan:
         """What the run of the form takes, by what is known before its photos are read: their opacity is not.
@@ -233,7 +244,7 @@ class TrainingStart(Feature):
         form, length = self.form, LENGTHS[self.form.length]
         asked = None if form.memory == AUTOMATIC else parse_bytes(form.memory)
         bound = Bound(bytes=asked or self.machine.left, asked=asked is not None)
-        sizes = self.found.sizes[form.downscale]
+        sizes = self.found.sizes[self.downscale]
         points = self.found.points if self.found.points >= MIN_POINTS else 0
         memory = run_memory(
             sizes,
@@ -251,7 +262,7 @@ class TrainingStart(Feature):
     def trained_size(self) -> tuple[int, int]:
         """Width and height of the largest photo as it is trained on, px."""
         assert self.found is not None
-        return downscaled_size(*self.found.size, self.form.downscale)
+        return downscaled_size(*self.found.size, self.downscale)
 
     def start(self, app: AppState) -> None:
         """Readies the run of the form; the window goes on meanwhile. One that is under way is ended first,
@@ -311,7 +322,7 @@ class TrainingStart(Feature):
             folder = output.parent if os.access(output.parent, os.W_OK) else Path.cwd()
             stem = output.name if output.is_dir() else output.parent.name
             self.form.output = next_free(folder / f"{stem or 'scene'}.ply")
-            self.form.downscale = suitable_downscale(found.size)
+            self.form.downscale = None
 
     def busy(self, app: AppState) -> bool:
         return self._looking is not None or self._readying is not None

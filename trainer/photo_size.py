@@ -1,0 +1,144 @@
+"""The size that photos are trained on where nobody says: by the time there is, and what will be looked at.
+
+A step costs what its photo has of pixels. A minute on two cores is enough for three steps on photos of 12
+megapixels (11.6 dB on `miku` enlarged to that) or three thousand on 0.08 megapixels, which show large
+structures as well. But splats that met small photos alone are wrong where they are looked at closely: too
+thin, or too coarse. So a run spends most of its time on photos that there are enough steps for, and its end
+on larger ones, which the memory of a machine and the detail of a window have room for.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from splatview.scene import InputError
+from splatview.scene.captures import PosedPhotos
+from splatview.scene.captures.photos import downscaled_size
+from splatview.trainer.memory import sizes_of_files
+
+LARGEST_SIDE = 1600
+"""px of the longer side that photos have at most, as in the code of Kerbl et al. 2023."""
+
+SMALLEST_SIDE = 64
+"""px of the shorter side that photos are made no smaller than."""
+
+THREAD_PIXELS = 40e3
+"""Pixels of a photo that a minute has steps enough for, for each thread. See `LAST_FACTOR`."""
+
+MOST_THREADS = 8
+"""More are not counted on: cores share their memory, and a part of each step is for one thread."""
+
+GROWTH = 0.75
+"""Exponent of the minutes: the longer a run, the more of it goes into more steps. See `LAST_FACTOR`."""
+
+LEAST_MINUTES = 0.5
+"""Shorter runs are looks at whether all works."""
+
+FIRST_SHARE, LAST_SHARE = 0.3, 0.2
+"""Of the run: on photos of half the size that there is time for, and on larger ones."""
+
+LAST_FACTOR = 3
+"""Photos of the end are larger each way by at most this factor."""
+
+Levels = tuple[tuple[float, int], ...]
+"""As `TrainSettings.resolution`."""
+
+HALF_THE_SIZE: Levels = ((FIRST_SHARE, 2),)
+
+
+def pixels_for(minutes: float, threads: int) -> float:
+    """Pixels of a photo that so many minutes have steps enough for."""
+    return THREAD_PIXELS * min(threads, MOST_THREADS) * max(minutes, LEAST_MINUTES) ** GROWTH
+
+
+Sizes = Sequence[tuple[int, int]]
+"""Widths and heights of photos, px."""
+
+
+def automatic_downscale(sizes: Sizes, minutes: float | None, threads: int) -> int:
+    """By how much photos are made smaller each way; minutes None: as long as it takes."""
+    longest, pixels = max(map(max, sizes)), sum(map(math.prod, sizes)) / len(sizes)
+    factor = math.ceil(longest / LARGEST_SIDE)
+    if minutes is not None:
+        factor = max(factor, round(math.sqrt(pixels / pixels_for(minutes, threads)) / LAST_FACTOR))
+    return min(factor, most_downscale(sizes))
+
+
+def most_downscale(sizes: Sizes) -> int:
+    """By how much photos may be made smaller each way."""
+    return max(min(map(min, sizes)) // SMALLEST_SIDE, 1)
+
+
+def sizes_of(posed: PosedPhotos) -> Sizes:
+    """Of a capture's photos as its files have them, before they are read."""
+    return [(entry.camera.width, entry.camera.height) for entry in posed.entries]
+
+
+def downscale_for(posed: PosedPhotos, *, minutes: float | None, threads: int) -> int:
+    """`automatic_downscale` of a capture, before its photos are read."""
+    return automatic_downscale(sizes_of(posed), minutes, threads)
+
+
+def automatic_levels(sizes: Sizes, minutes: float | None, threads: int) -> Levels:
+    """The factors by which photos of these sizes are smaller along a run."""
+    if minutes is None:
+        return HALF_THE_SIZE
+    pixels = sum(map(math.prod, sizes)) / len(sizes)
+    factor = min(
+        round(math.sqrt(pixels / pixels_for(minutes, threads))),
+        most_downscale(sizes) // HALF_THE_SIZE[0][1],
+    )
+    if factor < 2:
+        return HALF_THE_SIZE
+    return (FIRST_SHARE, HALF_THE_SIZE[0][1] * factor), (1 - LAST_SHARE, factor)
+
+
+@dataclass
+class SizeChoice:
+    """By how much photos are made smaller, by what a capture says before they are read."""
+
+    asked: int | None
+    """What the user has asked for."""
+    minutes: float | None
+    threads: int
+    room_for: Callable[..., object]
+    """Raises InputError where the run has no room for photos of such sizes."""
+    factor: int = 1
+    line: str = ""
+    """What was decided and why, where photos are made smaller."""
+
+    def __call__(self, posed: PosedPhotos) -> int:
+        """The factor. Raises InputError."""
+        if self.asked is not None:
+            # The least that it can be: what photos really are is told once they are read.
+            least = replace(sizes_of_files(posed.entries, self.asked), trained=0, planes=3)
+            self.room_for(least, points=sys.maxsize)
+            self.factor = self.asked
+            return self.factor
+        sizes = sizes_of(posed)
+        most = most_downscale(sizes)
+        first = self.factor = automatic_downscale(sizes, self.minutes, self.threads)
+        while True:
+            try:
+                self.room_for(sizes_of_files(posed.entries, self.factor), points=len(posed.points))
+                break
+            except InputError:
+                if self.factor >= most:
+                    raise
+                self.factor += 1
+        if self.factor > 1:
+            whole = max(sizes)
+            smaller = "{}x{}".format(*downscaled_size(*whole, self.factor))
+            why = f"{LARGEST_SIDE} px are the most"
+            if self.factor > first:
+                why = "there is memory for no more"
+            elif first > automatic_downscale(sizes, None, self.threads):
+                why = f"--minutes {self.minutes:g} has no time for more"
+            self.line = (
+                f"photos of {whole[0]}x{whole[1]} px are trained on at {smaller}: {why};"
+                " --downscale 1 trains on all their pixels"
+            )
+        return self.factor
