@@ -2,10 +2,10 @@
 
     python tools/bench/bench_photo_size.py DATA MADE [--captures NAME ...] [--minutes 1 3]
 
-Three ways for each capture and length: on all pixels, on smaller photos alone, and on these until near the end
-and then on larger ones, which is what `trainer.photo_size` decides. All are measured on the held-out third in
-full size, and in half of it. Minutes are those of `generalisation_run.step_seconds`, of two cores. What a call
-has measured before is kept in assets/benchmarks/photo_size.json.
+Three ways for each capture and length: on all pixels, on smaller photos alone, and on these until near the
+end and then on larger ones, which is what `trainer.photo_size` decides. All are measured on the held-out third
+in full size, and in half of it. Minutes are those of `generalisation_run.step_seconds`, of two cores. What a
+call has measured before is kept in assets/benchmarks/photo_size.json.
 """
 
 from __future__ import annotations
@@ -58,8 +58,9 @@ CAPTURES = {
 NOTE = (
     "A third of the photos held out, one split and run each. All pixels: photos as they are, half their size"
     " for 30 % of the run. Smaller alone: smaller by as much as there are steps for. Larger at the end: the"
-    " same until 80 % of the run, then up to three times as large each way, which is what is done where nobody"
-    " says. PSNR in dB and SSIM in full size, then PSNR in half of it. Rules were chosen on captures marked so."
+    " same until 80 % of the run, then up to three times as large each way, which is what is done where"
+    " nobody says. PSNR in dB and SSIM in full size, then PSNR in half of it. The rule was chosen on captures"
+    " marked so, and is only judged by the others."
 )
 
 
@@ -135,10 +136,10 @@ def table(runs: dict[Key, dict[str, Any]]) -> dict[str, Any]:
             if len(of) < len(names):
                 continue
             size = "{}x{}".format(*next(iter(of.values()))["size"])
-            row = [name, CAPTURES[name].use, size, f"{minutes:g}"]
-            for run in of.values():
-                row.append(f"{run['full_psnr']:.2f} ({run['full_ssim']:.3f}), {run['half_psnr']:.2f}")
-            rows.append(row)
+            scores = [
+                f"{r['full_psnr']:.2f} ({r['full_ssim']:.3f}), {r['half_psnr']:.2f}" for r in of.values()
+            ]
+            rows.append([name, CAPTURES[name].use, size, f"{minutes:g}", *scores])
     return {"columns": ["capture", "rules", "photos, px", "minutes", *names], "rows": rows, "note": NOTE}
 
 
