@@ -3,7 +3,7 @@
     python tools/bench/bench_photo_size.py DATA MADE [--captures NAME ...] [--minutes 1 3]
 
 Three ways for each capture and length: on all pixels, on smaller photos alone, and on these until near the
-end and then on larger ones, which is what `trainer.photo_size` decides. All are measured on the held-out third
+end and then on larger ones, as `trainer.photo_size` decides. All are measured on the held-out third
 in full size, and in half of it. Minutes are those of `generalisation_run.step_seconds`, of two cores. What a
 call has measured before is kept in assets/benchmarks/photo_size.json.
 """
