@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from splatview.measure.metrics import psnr, ssim
+from splatview.measure.metrics import psnr
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
 from splatview.trainer.exposure import fitted_by_halves
+from splatview.trainer.loss import mean_ssim
 from splatview.trainer.views import TrainView
 
 DIFFERENCE_GAIN = 4
@@ -60,15 +61,15 @@ def pictures(
         yield fitted_by_halves(picture, view) if exposures_differ else picture
 
 
-def evaluation_of(views: Sequence[TrainView], pictures: Iterable[np.ndarray]) -> Evaluation:
+def evaluation_of(
+    views: Sequence[TrainView], pictures: Iterable[np.ndarray], *, threads: int | None = None
+) -> Evaluation:
     """Scores of pictures (H, W, 3) of photos' views. PSNR is over the pixels that the mask leaves; for SSIM,
     whose windows reach over its edge, the others are grey in picture and photo."""
-    scores = []
+    workspace, scores = Workspace(), []
     for view, picture in zip(views, pictures, strict=True):
-        pair = [picture, view.pixels.astype(np.float32) / 255]
-        if view.mask is not None:
-            pair = [np.where(view.mask[..., None], pixels, np.float32(0.5)) for pixels in pair]
-        scores.append(Score(view.camera.name, masked_psnr(picture, view), ssim(*pair)))
+        similarity = mean_ssim(picture, view.pixels, workspace, mask=view.mask, threads=threads)
+        scores.append(Score(view.camera.name, masked_psnr(picture, view), similarity))
     return Evaluation(tuple(scores))
 
 
@@ -82,7 +83,7 @@ def evaluate(
 ) -> Evaluation:
     """Scores of a scene on photos; arguments as of `pictures`."""
     drawn = pictures(parameters, views, settings, threads=threads, exposures_differ=exposures_differ)
-    return evaluation_of(views, drawn)
+    return evaluation_of(views, drawn, threads=threads)
 
 
 def masked_psnr(picture: np.ndarray, view: TrainView) -> float:

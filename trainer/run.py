@@ -301,7 +301,8 @@ class TrainingRun:
     def evaluate(self) -> Evaluation:
         """Measures the scene as it is on the held-out photos, of which there must be some."""
         begun = time.perf_counter()
-        self.evaluation = evaluation_of(self.held_out, self._pictures(self.held_out))
+        drawn = self._pictures(self.held_out)
+        self.evaluation = evaluation_of(self.held_out, drawn, threads=self.trainer.threads)
         self.evaluated_at = self.trainer.counters.iteration
         self._evaluated = time.perf_counter()
         self._evaluation_cost = self._evaluated - begun

@@ -8,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from splatview.raster import Workspace
 from splatview.scene import Lens, look_at
 from splatview.trainer.functional import expose
 from splatview.trainer.initialisation import initial_parameters
+from splatview.trainer.loss import mean_ssim
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
@@ -34,5 +36,6 @@ def warm_up(*, lens: bool = False, strategies: Iterable[str] = STRATEGIES) -> No
         trainer = Trainer(TrainViews([view], 0), initial_parameters(points, colours, 1.0), 1.0, settings)
         while not trainer.done:
             trainer.step()
+    mean_ssim(np.zeros((16, 16, 3), np.float32), view.pixels, Workspace())
     picture, exposure = torch.zeros(1, 1, 4, requires_grad=True), torch.zeros(3, 2, dtype=torch.float64)
     expose(picture, exposure.requires_grad_()).sum().backward()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from splatview.measure.metrics import SSIM_K, gaussian_window, ssim
 from splatview.raster import Workspace
 from splatview.trainer.functional import photo_loss as torch_photo_loss
-from splatview.trainer.loss import photo_loss
+from splatview.trainer.loss import mean_ssim, photo_loss
 
 
 def pair(height: int, width: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -138,3 +138,26 @@ def test_torch_operation_differentiates() -> None:
         return torch_photo_loss(image, pixels, mask=mask)
 
     assert torch.autograd.gradcheck(masked, (torch.from_numpy(image).requires_grad_(),))
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("kind", ["noise", "near", "bright and flat", "out of range"])
+def test_similarity_of_an_evaluation_is_that_of_the_definition(kind, masked):
+    """Both in float64, clipped alike; what the mask leaves out is grey in both. Sums are in another order,
+    and a variance is a difference of two: 1e-9."""
+    rng = np.random.default_rng(3)
+    photo = rng.integers(0, 256, size=(57, 83, 3), dtype=np.uint8)
+    picture = photo / np.float32(255) + rng.normal(scale=0.02, size=photo.shape).astype(np.float32)
+    if kind == "noise":
+        picture = rng.random(photo.shape, dtype=np.float32)
+    if kind == "bright and flat":
+        photo[:] = 252
+        picture = np.full(photo.shape, 0.985, np.float32)
+    if kind == "out of range":
+        picture = picture * 5 - 2
+    mask = rng.random(photo.shape[:2]) > 0.2 if masked else None
+    pair = [picture, photo / 255]
+    if mask is not None:
+        pair = [np.where(mask[..., None], pixels, 0.5) for pixels in pair]
+    found = mean_ssim(picture, photo, Workspace(), mask=mask, threads=2)
+    assert found == pytest.approx(ssim(*pair), abs=1e-9)
