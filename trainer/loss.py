@@ -16,8 +16,8 @@ SSIM_WEIGHT = 0.2
 
 Dropped, a minute at half the bench's size, a third held out: 0, `skull RGBA 100` 32.84 in place of 33.39
 dB; an L1 that is square below 0.05, 33.36, and `banana` 28.80 and 28.39 in place of 28.76 and 28.87 (two
-seeds); below 0.02, 33.41; with a square of ten times the weight added, 33.43. Twice the weight: `banana` 28.69 in
-place of 28.74, `miku` 30.37 and 30.34, `skull RGBA 100` 33.31 and 33.48.
+seeds); below 0.02, 33.41; with a square of ten times the weight added, 33.43. Twice the weight: `banana`
+28.69 in place of 28.74, `miku` 30.37 and 30.34, `skull RGBA 100` 33.31 and 33.48.
 """
 
 SMALLEST_TASK = 24

@@ -2,9 +2,9 @@
 
 Their poses are those of the capture. Dropped: a small motion of each camera, learnt beside the scene by the
 gradients of the splats (those of finite differences to 1e-3), but for what moves all cameras alike. A minute
-of the bench without and with it: `banana` 27.31 and 27.34 dB (27.31 with six times the rate), `miku` 29.75 and
-29.81, `skull RGBA 100` 32.64 and 32.56; at half the size `banana` 28.89 and 29.08. Nor does it find what is
-wrong by much: with two of the 16 photos of `guitar RGBA 24` turned by 5 degrees 29.1 and 26.0 dB.
+of the bench without and with it: `banana` 27.31 and 27.34 dB (27.31 with six times the rate), `miku` 29.75
+and 29.81, `skull RGBA 100` 32.64 and 32.56; at half the size `banana` 28.89 and 29.08. Nor does it find what
+is wrong by much: with two of the 16 photos of `guitar RGBA 24` turned by 5 degrees 29.1 and 26.0 dB.
 """
 
 from __future__ import annotations
