@@ -141,13 +141,10 @@ class SizeChoice:
         if self.factor > 1:
             whole = max(sizes)
             smaller = "{}x{}".format(*downscaled_size(*whole, self.factor))
-            why = f"{LARGEST_SIDE} px are the most"
+            why = f"{LARGEST_SIDE} px are the most; --downscale 1 trains on all their pixels"
             if self.factor > first:
                 why = "there is memory for no more"
             elif first > automatic_downscale(sizes, None, self.threads):
-                why = f"--minutes {self.minutes:g} has no time for more"
-            self.line = (
-                f"photos of {whole[0]}x{whole[1]} px are trained on at {smaller}: {why};"
-                " --downscale 1 trains on all their pixels"
-            )
+                why = f"--minutes {self.minutes:g} has no time for more; --downscale 1 trains on all their pixels"
+            self.line = f"photos of {whole[0]}x{whole[1]} px are trained on at {smaller}: {why}"
         return self.factor
