@@ -141,10 +141,11 @@ class SizeChoice:
         if self.factor > 1:
             whole = max(sizes)
             smaller = "{}x{}".format(*downscaled_size(*whole, self.factor))
-            why = f"{LARGEST_SIDE} px are the most; --downscale 1 trains on all their pixels"
+            all_of_them = "; --downscale 1 trains on all their pixels"
+            why = f"{LARGEST_SIDE} px are the most{all_of_them}"
             if self.factor > first:
                 why = "there is memory for no more"
             elif first > automatic_downscale(sizes, None, self.threads):
-                why = f"--minutes {self.minutes:g} has no time for more; --downscale 1 trains on all their pixels"
+                why = f"--minutes {self.minutes:g} has no time for more{all_of_them}"
             self.line = f"photos of {whole[0]}x{whole[1]} px are trained on at {smaller}: {why}"
         return self.factor
