@@ -337,6 +337,11 @@ def make_parser() -> Parser:
         help="learn each photo's exposure (default: auto, where photos differ)",
     )
     group.add_argument(
+        "--outliers",
+        choices=("auto", "off"),
+        help="leave out photos that disagree with the others, as those of a wrong pose do (default: auto)",
+    )
+    group.add_argument(
         "--sky",
         choices=("auto", "on", "off"),
         help="far splats for what photos show at infinity (default: auto, where enough of it is above the"

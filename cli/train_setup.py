@@ -33,7 +33,7 @@ from splatview.trainer.distributed import (
     local_processes,
     share_of_cores,
 )
-from splatview.trainer.effects import capture_effects, with_exposure, with_sky_found
+from splatview.trainer.effects import capture_effects, with_exposure, with_outliers, with_sky_found
 from splatview.trainer.memory import (
     Bound,
     Machine,
@@ -75,6 +75,7 @@ OF_THE_CHECKPOINT = [
     "coarse",
     "start",
     "exposure",
+    "outliers",
     "sky",
     "background",
     "antialiased",
@@ -258,6 +259,8 @@ def _prepare(
     effects = with_sky_found(effects, trainer.sky, int(np.count_nonzero(trainer.state.get("sky", 0))))
     if trainer.exposures.is_decided:
         effects = with_exposure(effects, trainer.exposures)
+    if trainer.outliers.is_decided:
+        effects = with_outliers(effects, trainer.outliers)
     if asked is not None:
         notes["memory"] = asked
     return Run(
@@ -391,6 +394,7 @@ def _new_trainer(
         batch=batch,
         strategy=strategy,
         exposure=options.exposure or "auto",
+        outliers=options.outliers or "auto",
         sky=options.sky or "auto",
         absolute_gradient=bool(options.abs_grad),
         threads=cores,

@@ -93,6 +93,8 @@ class Status:
     """What takes longer than a step, while it lasts: "Saving"."""
     saved_at: int | None = None
     """Step at which scene and checkpoint were last written by this thread."""
+    left_out: frozenset[str] = frozenset()
+    """Names of the photos that are not trained on, as they disagree with the others."""
 
     @property
     def seconds_left(self) -> float | None:
@@ -490,6 +492,7 @@ class BackgroundTraining:
             seconds=trainer.counters.seconds,
             gaussians=len(trainer.splats),
             sh_degree=trainer.splats.sh_degree,
+            left_out=trainer.outliers.names_left_out,
             **changes,
         )
 

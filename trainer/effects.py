@@ -24,6 +24,8 @@ from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.exposure import DECIDED_BY, LEAST_SPREAD, Exposures
+from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
+from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.sky import Sky
 from splatview.trainer.strategies.mcmc import LEAST_REG
@@ -38,6 +40,8 @@ POINTS = 2000
 """Points of the capture that depths are measured by."""
 
 EXPOSURE = "exposure of each photo"
+
+OUTLIERS = "photos left out"
 
 SKY = "sky"
 
@@ -87,6 +91,7 @@ def capture_effects(
     return (
         _sh_bands(settings),
         _exposure(settings),
+        _outliers(len(capture.train), settings),
         _masks(capture),
         _lens(capture),
         _antialiased(capture, settings, antialiased),
@@ -117,6 +122,24 @@ def with_exposure(effects: tuple[Effect, ...], exposures: Exposures) -> tuple[Ef
     return tuple(
         replace(effect, on=exposures.is_on, why=evidence + on) if effect.name == EXPOSURE else effect
         for effect in effects
+    )
+
+
+def with_outliers(effects: tuple[Effect, ...], outliers: Outliers) -> tuple[Effect, ...]:
+    """The same once it is decided which photos are left out."""
+    on = bool(outliers.left_out.any())
+    why = outliers.evidence or (f"{outliers.left_out.sum()} photos, as the run began" if on else "none")
+    return tuple(replace(effect, on=on, why=why) if effect.name == OUTLIERS else effect for effect in effects)
+
+
+def _outliers(photos: int, settings: TrainSettings) -> Effect:
+    why = f"decided within {OUTLIERS_DECIDED_BY:.0%} of the run, by whether photos show the same scene"
+    if settings.outliers == "off":
+        why = "as asked for"
+    elif photos < FEWEST_PHOTOS:
+        why = f"of {photos} photos nobody could say which are wrong; {FEWEST_PHOTOS} are needed"
+    return Effect(
+        name=OUTLIERS, on=False, why=why, saving=Saving(what="a small picture of each photo's view, once")
     )
 
 

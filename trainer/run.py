@@ -28,9 +28,17 @@ from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.counters import NothingSeen, PluginError, StepReport
 from splatview.trainer.distributed import PeerLost
-from splatview.trainer.effects import EXPOSURE, FEW_PHOTOS, with_easing, with_exposure
+from splatview.trainer.effects import (
+    EXPOSURE,
+    FEW_PHOTOS,
+    OUTLIERS,
+    with_easing,
+    with_exposure,
+    with_outliers,
+)
 from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
 from splatview.trainer.memory import MemoryPlan
+from splatview.trainer.outliers import disagreeing
 from splatview.trainer.views import TrainView
 
 if TYPE_CHECKING:
@@ -263,8 +271,8 @@ class TrainingRun:
 
     def step(self) -> RunProgress:
         """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
-        exposures = self.trainer.exposures
-        undecided = not exposures.is_decided
+        exposures, outliers = self.trainer.exposures, self.trainer.outliers
+        undecided, unsure = not exposures.is_decided, not outliers.is_decided
         loss = self.trainer.loss
         unknown = loss is not None and loss.replaces is None
         report = self.trainer.step(self.seconds)
@@ -275,6 +283,12 @@ class TrainingRun:
             if exposures.evidence:
                 line = next((effect.why for effect in self.effects if effect.name == EXPOSURE), "")
                 self.on_note(f"{EXPOSURE} {'on' if exposures.is_on else 'off'}: {line}")
+        if unsure and outliers.is_decided:
+            self.effects = with_outliers(self.effects, outliers)
+            if outliers.left_out.any():
+                self.on_note(f"{OUTLIERS}: {outliers.evidence}; --outliers off trains on them")
+            elif disagreeing(outliers.correlations).any():
+                self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check the poses of the cameras")
         self._tell_easing()
         evaluation = None
         if self.held_out and self._evaluation_is_due(report.iteration):

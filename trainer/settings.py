@@ -189,6 +189,8 @@ class TrainSettings(StrategySettings):
     """Weight of the opacity of transparent photos in the loss: of the mean |difference| to the scene's."""
     exposure: Literal["auto", "on", "off"] = "auto"
     """Whether each photo's exposure is learnt; auto: where photos differ, see `exposure`."""
+    outliers: Literal["auto", "off"] = "auto"
+    """Whether photos that disagree with the others are left out, see `outliers`."""
     start: Literal["auto", "points", "stereo"] = "auto"
     """Where splats begin: at the capture's points, or also where stereo finds surfaces; auto: by stereo alone
     where the capture has no points, by both where they are few. See `stereo`."""
@@ -256,8 +258,9 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"start must be auto, points or stereo, got {self.start!r}")
         if self.sky not in ("auto", "on", "off"):
             raise ValueError(f"sky must be auto, on or off, got {self.sky!r}")
-        if self.backdrop not in ("auto", "off"):
-            raise ValueError(f"backdrop must be auto or off, got {self.backdrop!r}")
+        for name in ("backdrop", "outliers"):
+            if getattr(self, name) not in ("auto", "off"):
+                raise ValueError(f"{name} must be auto or off, got {getattr(self, name)!r}")
         if not self.max_aspect >= 1:
             raise ValueError(f"max_aspect must be at least 1, got {self.max_aspect}")
         if not 1 <= self.sh_divisor < math.inf:
@@ -323,6 +326,7 @@ WITHOUT_WORD = {
     "backdrop": "off",
     "full_reg_loss": 0.0,
     "sky": "off",
+    "outliers": "off",
     "free_space": 0.0,
     "least_shown": 0.0,
     "least_visibility": 0.0,

@@ -23,6 +23,7 @@ from splatview.trainer.exposure import Exposures
 from splatview.trainer.free_space import GONE, standing_before, worth_keeping
 from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
 from splatview.trainer.initialisation import comments_for
+from splatview.trainer.outliers import Outliers
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
 from splatview.trainer.progressive import ProgressiveResolution, mean_difference
 from splatview.trainer.settings import TrainSettings
@@ -33,7 +34,7 @@ from splatview.trainer.strategies.mcmc import need_of_reg
 from splatview.trainer.strategies.ops import keep, raise_sh_degree
 from splatview.trainer.views import TrainView, TrainViews
 
-KEPT = ("seed", "strategy", "background", "model", "exposure")
+KEPT = ("seed", "strategy", "background", "model", "exposure", "outliers")
 """Settings that a run keeps from its first step to its last."""
 
 LOSS_SHARE = 0.01
@@ -103,6 +104,7 @@ class Trainer:
         """Photos that have shown no splat, as long as none has; NaN from the first that shows one on: later
         edits and rules may take out of sight what there is."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
+        self.outliers = Outliers([view.camera.name for view in views.all], settings.outliers)
         self.resolution = ProgressiveResolution(views)
         """Size of the photos, where the recipe leaves it to evidence."""
         self.picture_dtype: type[np.floating] = np.float32
@@ -216,6 +218,7 @@ class Trainer:
             counters.prepared = counters.seconds
         progress = self.progress
         raise_sh_degree(splats, optimizer, max(settings.sh_degree_at(progress), splats.sh_degree))
+        self._decide_outliers(progress)
         self._decide_exposures(progress)
 
         optimizer.zero_grad()  # first, for a step that failed may have left some
@@ -386,9 +389,36 @@ class Trainer:
         """See `strategies.mcmc.need_of_reg`."""
         return need_of_reg(self.state.get("photo_loss", 0.0), self.settings.full_reg_loss)
 
+    @property
+    def _rounds(self) -> float:
+        """How often each photo has been looked at."""
+        return self.counters.iteration * self.settings.batch / len(self.views)
+
+    def leave_out(self, rows: np.ndarray) -> None:
+        """From now on these photos, (P,) bool, are not trained on, and all others are.
+
+        Raises:
+            InputError: none would be left; nothing is changed.
+        """
+        if rows.all():
+            raise InputError("no photo would be left to train on")
+        self.outliers.left_out = rows
+        self.views.take(~rows)
+
+    def _decide_outliers(self, progress: float) -> None:
+        outliers = self.outliers
+        if outliers.is_due(progress, self._rounds):
+            with self.clock.stage("outliers"):
+                arrays, workspace = self.splats.arrays, Workspace()
+                wrong = outliers.measure(
+                    arrays, self.views.all, self.render_settings, workspace, self.threads
+                )
+            self.group.add_up([wrong])  # processes must agree, to the last photo
+            outliers.decide(wrong > self.group.size / 2)
+            self.leave_out(outliers.left_out)
+
     def _decide_exposures(self, progress: float) -> None:
-        rounds = self.counters.iteration * self.settings.batch / len(self.views)
-        if self.exposures.is_due(progress, rounds):
+        if self.exposures.is_due(progress, self._rounds):
             views = self.views.sized(self.downscale)
             arrays = self.splats.arrays
             # A sky is not the same from all sides, nor behind each of its splats.
@@ -427,7 +457,7 @@ class Trainer:
         if self.done or (ended and not self.state.get("unseen_dropped")):
             kept = worth_keeping(
                 self.splats.snapshot(),
-                self.views.all,
+                self.views.taken,
                 self.render_settings,
                 least_shown=settings.least_shown,
                 least_visibility=settings.least_visibility,

@@ -94,6 +94,7 @@ class TrainViews:
         self.focal = float(np.median([view.camera.fx for view in views]))
         """Median focal length in full size, px."""
         self._sizes: dict[int, list[TrainView]] = {1: list(views)}
+        self._taken = np.arange(len(views))
         self._seed = seed
         self._epoch = -1
         self._order = np.empty(0, np.int64)
@@ -105,6 +106,17 @@ class TrainViews:
     def all(self) -> list[TrainView]:
         """In full size, by name."""
         return self._sizes[1]
+
+    @property
+    def taken(self) -> list[TrainView]:
+        """Those that steps take, in full size, by name."""
+        return [self._sizes[1][row] for row in self._taken]
+
+    def take(self, rows: np.ndarray) -> None:
+        """Steps take these photos alone from now on: (P,) bool, at least one of them true."""
+        if rows.shape != (len(self),) or not rows.any():
+            raise ValueError(f"one of {len(self)} photos must be taken, got {rows}")
+        self._taken, self._epoch = np.flatnonzero(rows), -1
 
     @property
     def pixel_count(self) -> int:
@@ -142,10 +154,10 @@ class TrainViews:
         return self._sizes[factor]
 
     def at(self, iteration: int, factor: int = 1) -> TrainView:
-        """The photo of a step: every photo once, in an order drawn anew, then every photo once more."""
-        epoch, place = divmod(iteration, len(self))
+        """The photo of a step: every photo taken once, in an order drawn anew, then every one once more."""
+        epoch, place = divmod(iteration, len(self._taken))
         if epoch != self._epoch:
             # From seed and epoch alone, so that a resumed run goes on with the same photos.
-            self._order = np.random.default_rng([self._seed, epoch]).permutation(len(self))
+            self._order = np.random.default_rng([self._seed, epoch]).permutation(self._taken)
             self._epoch = epoch
         return self.sized(factor)[self._order[place]]

@@ -16,6 +16,7 @@ from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.formats import load_scene
 from splatview.trainer.effects import (
     FEW_PHOTOS,
+    OUTLIERS,
     SCALE_RATIO,
     SKY,
     Antialiased,
@@ -100,6 +101,7 @@ def test_each_effect_names_its_evidence():
         "antialiased opacity",
         SKY,
         FEW_PHOTOS,
+        OUTLIERS,
     }
     assert "12.50% of all pixels" in rich["masks"][1]
     assert "3 of 4 photos have a lens that moves points by up to 12.3 px" in rich["lens distortion"][1]

@@ -247,10 +247,11 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     ctx.combo_click(f"##Size of the photos/As time allows: {width} x {height} px")
     found["size"] += [state.form.downscale]
     ctx.combo_click("##Exposure/Not corrected")
+    ctx.combo_click("##Outliers/Trained on")
     ctx.combo_click("##Sky/Always added")
     ctx.combo_click("##Background/White")
     hand.frames(3)
-    found["chosen"] = [state.form.exposure, state.form.sky, state.form.background]
+    found["chosen"] = [state.form.exposure, state.form.outliers, state.form.sky, state.form.background]
     shoot(hand, "train_form")
     ctx.item_click("//Train on photos/Start training")
     hand.frames(3)
@@ -266,7 +267,7 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["bound"], found["peak"] = training.memory.bound.bytes, training.memory.peak
     found["told"] = any("memory: about" in message.text for message in app.messages)
     settings = training.status.settings
-    found["trained"] = [settings.exposure, settings.sky, settings.background]
+    found["trained"] = [settings.exposure, settings.outliers, settings.sky, settings.background]
 
 
 def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:

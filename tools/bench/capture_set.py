@@ -343,6 +343,44 @@ def bench_capture(name: str, data: Path, made: Path, smaller: int = 1) -> Captur
     return load_capture(folder_of(name, made), downscale=smaller)
 
 
+Fault = Literal["turned 3", "turned 5", "moved", "swapped"]
+"""Wrong poses: turned by degrees, moved by `MOVED`, or those of other photos."""
+
+FAULTS: tuple[Fault, ...] = ("turned 3", "turned 5", "moved", "swapped")
+
+FAULTY_SHARE = 0.1
+"""Of the photos trained on, that get a wrong pose; one at least."""
+
+MOVED = 0.15
+"""Mean distances of the cameras to their middle."""
+
+
+def with_fault(capture: Capture, fault: Fault, seed: int) -> tuple[Capture, list[str]]:
+    """The capture with wrong poses, and the names of the photos that have them."""
+    rng, photos = np.random.default_rng(seed), list(capture.photos)
+    trained = [row for row, photo in enumerate(photos) if not photo.held_out]
+    wrong = rng.choice(trained, max(round(FAULTY_SHARE * len(trained)), 1), replace=False)
+    eyes = np.array([photo.camera.eye for photo in photos])
+    extent = np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).mean()
+    for row in wrong:
+        camera = photos[row].camera
+        motion, axis = np.eye(4), rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        matrix = camera.world_to_camera
+        if fault == "swapped":
+            other = rng.choice([place for place in trained if place != row])
+            matrix = capture.photos[other].camera.world_to_camera
+        elif fault == "moved":
+            motion[:3, 3] = MOVED * extent * axis
+        else:
+            x, y, z = axis
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            angle = np.radians(float(fault.split()[1]))
+            motion[:3, :3] += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+        photos[row] = replace(photos[row], camera=replace(camera, world_to_camera=motion @ matrix))
+    return replace(capture, photos=tuple(photos)), [photos[row].name for row in wrong]
+
+
 def folder_of(name: str, made: Path) -> Path:
     return made / name.replace(" ", "-").lower()
 

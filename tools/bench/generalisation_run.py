@@ -11,11 +11,12 @@ from __future__ import annotations
 import argparse
 import json
 import resource
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from capture_set import REAL, bench_capture, folder_of, split_of
+from capture_set import REAL, bench_capture, folder_of, split_of, with_fault
 from PIL import Image
 
 STEP_MS, KILOPIXEL_MS, THOUSAND_SPLATS_MS = 1.0, 0.2, 0.35
@@ -104,6 +105,24 @@ def seen_by(trained: Any, camera: Any) -> np.ndarray:
     return seen.reshape(camera.height, camera.width)
 
 
+def outliers(trainer: Any, wrong: list[str]) -> dict[str, Any]:
+    """What the run left out, and how far photos were from the median one: for each, how many times as much it
+    lacked to a correlation of 1 with the scene, and how much more."""
+    found = trainer.outliers
+    lacking = 1 - found.correlations
+    median = float(np.nanmedian(lacking)) if np.isfinite(lacking).any() else np.nan
+    far = {
+        name: [round(float(lack / median), 2), round(float(lack - median), 3)]
+        for name, lack in zip(found.names, lacking, strict=True)
+    }
+    right = sorted((far[name] for name in found.names if name not in wrong), reverse=True)
+    return {
+        "left_out": sorted(found.names_left_out),
+        "wrong": {name: far[name] for name in wrong if name in far},
+        "farthest_right": right[:3],
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("name")
@@ -111,6 +130,9 @@ def main() -> None:
     parser.add_argument("made", type=Path)
     parser.add_argument("--split", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--fault", help="one of capture_set.FAULTS: a tenth of the poses are wrong")
+    parser.add_argument("--repaired", action="store_true", help="without the photos of these poses")
+    parser.add_argument("--until", type=float, default=1.0, help="share of the run after which it ends")
     parser.add_argument("--smaller", type=int, default=1, help="factor of the photos, to try rules quickly")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=JSON", help="fields of the settings")
@@ -128,6 +150,11 @@ def main() -> None:
     capture = split_of(
         bench_capture(options.name, options.data, options.made, options.smaller), options.split
     )
+    wrong: list[str] = []
+    if options.fault:
+        capture, wrong = with_fault(capture, options.fault, options.split)
+    if options.repaired:
+        capture = replace(capture, photos=tuple(p for p in capture.photos if p.name not in wrong))
     centre = capture.centre
     capture = capture.about(centre)
     views, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
@@ -147,7 +174,7 @@ def main() -> None:
     curve: list[tuple[float, int, float]] = []
     pixels, used, last = views.pixel_count / len(views), START, 0.0
     with kernel_threads_only():
-        while not trainer.done:
+        while not trainer.done and trainer.progress < options.until:
             known = hasattr(trainer, "downscale")
             factor = trainer.downscale if known else settings.downscale_at(trainer.progress)
             used += step_seconds(pixels / factor**2, len(trainer.splats))
@@ -189,6 +216,7 @@ def main() -> None:
         "gains": float(np.sqrt((trainer.exposures.table[..., 0] ** 2).mean())),
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         **skies,
+        **(outliers(trainer, wrong) if hasattr(trainer, "outliers") else {}),
         "set": fields,
     }
     print(json.dumps(result | ({"curve": curve} if curve else {})))

@@ -47,7 +47,7 @@ def table(app: AppState, training: LiveTraining) -> None:
     imgui.table_setup_column("Use", imgui.TableColumnFlags_.width_stretch, 1.3)
     imgui.table_setup_column("dB", imgui.TableColumnFlags_.width_stretch, 1)
     imgui.table_headers_row()
-    scores = training.scores
+    scores, left_out = training.scores, training.status.left_out
     clipper = imgui.ListClipper()
     clipper.begin(len(training.photos))
     while clipper.step():
@@ -63,6 +63,9 @@ def table(app: AppState, training: LiveTraining) -> None:
             imgui.table_next_column()
             if photo.held_out:
                 imgui.text_colored(ImVec4(*theme.HELD_OUT, 1), "held out")
+            elif photo.name in left_out:
+                imgui.text_colored(theme.WARNING, "left out")
+                widgets.tooltip("It disagrees with the other photos: its camera's pose may be wrong.")
             else:
                 imgui.text_colored(theme.QUIET, "trained")
             imgui.table_next_column()
@@ -137,6 +140,7 @@ def tools(app: AppState, training: LiveTraining) -> None:
     )
     imgui.same_line()
     kind = "held out" if training.photo.held_out else "trained"
+    kind = "left out" if training.photo.name in training.status.left_out else kind
     imgui.text_unformatted(f"{training.photo.label} ({kind})   {training.score_text()}")
     widgets.tooltip(
         "Held-out photos are measured in full size, as the list has them; others as they are seen."

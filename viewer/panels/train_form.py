@@ -19,7 +19,15 @@ from splatview.viewer.state import AppState, Feature
 from splatview.viewer.thumbnails import Thumbnails
 from splatview.viewer.training import start
 from splatview.viewer.training.live import LiveTraining
-from splatview.viewer.training.start import BACKGROUNDS, DOWNSCALES, LENGTHS, MEMORIES, WHETHER, TrainingStart
+from splatview.viewer.training.start import (
+    BACKGROUNDS,
+    DOWNSCALES,
+    LENGTHS,
+    MEMORIES,
+    OUTLIERS,
+    WHETHER,
+    TrainingStart,
+)
 
 NAME, DROPPED = "Train on photos", "Photos with cameras"
 """Titles of the two windows."""
@@ -224,6 +232,16 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     )
     if exposure is not None:
         form.exposure = exposure
+    outliers = widgets.combo(
+        "Outliers",
+        form.outliers,
+        OUTLIERS,
+        "Photos that show something else than the others, or whose cameras stand elsewhere than is said,"
+        " spoil a scene.",
+        ("Left out where photos disagree", "Trained on"),
+    )
+    if outliers is not None:
+        form.outliers = outliers
     sky = widgets.combo(
         "Sky",
         form.sky,

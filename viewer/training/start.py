@@ -67,6 +67,9 @@ BACKGROUNDS = {"auto": "auto", "black": "0,0,0", "white": "1,1,1"}
 WHETHER = ("auto", "on", "off")
 """What can be asked for of a correction: auto looks at the photos."""
 
+OUTLIERS = ("auto", "off")
+"""The same of photos that disagree with the others."""
+
 DOWNSCALES = (1, 2, 4, 8)
 """What photos may be made smaller by each way, where the user wants something else than what time allows."""
 
@@ -154,6 +157,8 @@ class TrainingForm:
     """One of MEMORIES."""
     exposure: str = WHETHER[0]
     """One of WHETHER, as `sky` is."""
+    outliers: str = OUTLIERS[0]
+    """One of OUTLIERS."""
     sky: str = WHETHER[0]
     background: str = next(iter(BACKGROUNDS))
     """One of BACKGROUNDS."""
@@ -224,6 +229,7 @@ class TrainingStart(Feature):
             *LENGTHS[self.form.length],
             *("--downscale", str(self.form.downscale or "auto")),
             *("--exposure", self.form.exposure, "--sky", self.form.sky),
+            *("--outliers", self.form.outliers),
             *("--background", BACKGROUNDS[self.form.background]),
             *(() if self.form.memory == AUTOMATIC else ("--memory", self.form.memory)),
         ]
