@@ -7,6 +7,7 @@ any thread, window or OpenGL context exists, and end as any interpreter does.
 
 from __future__ import annotations
 
+import faulthandler
 import json
 import os
 import runpy
@@ -22,6 +23,7 @@ def child(job: dict[str, Any]) -> None:
     os.environ.clear()
     os.environ.update(job["env"])
     os.chdir(job["cwd"])
+    faulthandler.enable()  # on what is now standard error: a crash is told with the stacks of all threads
     sys.argv = job["argv"]
     runpy.run_path(sys.argv[0], run_name="__main__")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 
 import numpy as np
@@ -9,7 +10,10 @@ import pytest
 from PIL import Image
 
 from splatview.cli.main import main
+from splatview.raster import render
 from splatview.raster.compiling import niceness
+from splatview.scene.captures.demo import demo_capture
+from splatview.scene.captures.nerfstudio import save_capture
 from splatview.scene.formats import load_scene, save_scene
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.viewer.app import ACTIVE_SECONDS
@@ -141,6 +145,26 @@ def test_edits_reach_the_trainer_while_it_trains(drive, capture, tmp_path):
     assert found["failure"] is None
     settings = load_checkpoint(tmp_path / "rules.safetensors").settings
     assert [len(settings.cut), len(settings.no_growth)] == [1, 1], "checkpoints keep the rules"
+
+
+def test_a_photo_of_a_wrong_pose_is_left_out_and_marked(drive, tmp_path):
+    photos = demo_capture(render, photos=16, width=96, height=72, splats=4000)
+    save_capture(photos, tmp_path / "pond")
+    path = tmp_path / "pond" / "transforms.json"
+    content = json.loads(path.read_text(encoding="utf8"))
+    wrong, other = (content["frames"][place] for place in (5, 12))
+    wrong["transform_matrix"] = other["transform_matrix"]
+    path.write_text(json.dumps(content), encoding="utf8")
+    found = drive(
+        "leaves_out",
+        tmp_path / "pond",
+        script=SCRIPT,
+        train=["--iterations", "6000", "--max-splats", "3000"],
+    )
+    assert found["left_out"] == [wrong["file_path"]]
+    (line,) = found["told"]
+    assert line.startswith("photos left out: 1 of 14 photos disagree with the others")
+    assert "--outliers off" in line
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")

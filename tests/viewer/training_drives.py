@@ -227,6 +227,26 @@ def closes(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
         hand.wait(lambda: app.quitting, "the window to heed it")
 
 
+def leaves_out(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """A photo of a wrong pose is named, and marked in the list and beside the scene."""
+    training = training_of(app)
+    hand.wait(lambda: bool(training.status.left_out), "a photo to be left out")
+    found["left_out"] = sorted(training.status.left_out)
+    index = next(i for i, photo in enumerate(training.photos) if photo.name in training.status.left_out)
+    hand.strip("Compare")
+    ctx = hand.ctx
+    while training.photo_index != index:
+        ctx.item_click("//Compare/###next")
+        hand.frames(2)
+    hand.wait(lambda: training.comparer.latest is not None, "the comparison")
+    ctx.item_close("//Training/Recipe")
+    ctx.item_open("//Training/Photos")
+    ctx.item_click("//Training/Measure")  # which scrolls to the list
+    hand.frames(5)
+    hand.shoot(options.get("shot"))
+    found["told"] = [message.text for message in app.messages if "photos left out" in message.text]
+
+
 def elsewhere(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Another scene is opened while training goes on, and the training shown again; then it ends."""
     training = training_of(app)
@@ -415,7 +435,8 @@ def main() -> int:
 
 
 functions: dict[str, Callable[[AppState, Hand, dict[str, Any], dict[str, Any]], None]] = {
-    function.__name__: function for function in (all_of_it, breaks, plugin_fails, closes, elsewhere, edits)
+    function.__name__: function
+    for function in (all_of_it, breaks, plugin_fails, closes, elsewhere, leaves_out, edits)
 }
 
 
