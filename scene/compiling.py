@@ -8,6 +8,7 @@ Imported late by what reads and writes files: numba takes a while to load, and a
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import hashlib
 import os
@@ -24,6 +25,7 @@ from typing import Any
 import numba
 from numba.core import config as _numba_config
 from numba.core.caching import FunctionCache
+from numba.core.compiler_lock import global_compiler_lock
 
 from splatview.scene.user_dirs import kernel_folder
 
@@ -31,6 +33,10 @@ config: Any = _numba_config
 
 BOUNDSCHECK = bool(config.BOUNDSCHECK)
 """Whether every array access of the kernels is checked (environment variable NUMBA_BOUNDSCHECK=1)."""
+
+# As the process ends, LLVM's memory goes while threads run on: one that is compiling, as a window's warm-up
+# may when that is soon closed, would write into freed memory. What has begun is waited for; nothing follows.
+atexit.register(global_compiler_lock.acquire)
 
 KEEP_DAYS = 30
 """Caches of other versions of the sources are removed after so long without use."""
