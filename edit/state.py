@@ -8,7 +8,7 @@ import math
 import os
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -324,7 +324,7 @@ class State:
         """
         return self._measured(
             (type(detector), json.dumps(to_json([detector, *cameras]))),
-            lambda: detector.scores(self.gaussians, self.edits, self.tools, cameras, progress=progress),
+            lambda: detector.scores(self.gaussians, self._frozen, self.tools, cameras, progress=progress),
         )
 
     def contributions(
@@ -334,8 +334,15 @@ class State:
         and raises as `scores`."""
         return self._measured(
             (contributions, json.dumps(to_json(cameras))),
-            lambda: contributions(self.gaussians, self.edits, self.tools, cameras, progress=progress),
+            lambda: contributions(self.gaussians, self._frozen, self.tools, cameras, progress=progress),
         )
+
+    @property
+    def _frozen(self) -> SceneEdits:
+        """The edits with marks of their own: measuring takes long, and in a thread it may be given up for an
+        edit, whose marks name what the palette from before does not have."""
+        edits = self.edits
+        return replace(edits, marks=edits.marks.copy())
 
     def _measured(self, what: Hashable, measure: Callable[[], np.ndarray]) -> np.ndarray:
         key = (self.revision, what)

@@ -48,10 +48,11 @@ def places_of(gaussians: Gaussians, edits: SceneEdits) -> Places:
 
 @inline
 def place(places, i):
-    """World position of splat `i` as three float64."""
+    """World position of splat `i` as three float64. In a thread whose result nobody waits for any more, marks
+    may be newer than the palette: what they name beyond it moves nothing."""
     x, y, z = np.float64(places.means[i, 0]), np.float64(places.means[i, 1]), np.float64(places.means[i, 2])
     entry = places.marks[i] >> PALETTE_SHIFT
-    if entry == 0 or len(places.moves) == 0:
+    if entry == 0 or entry >= len(places.moves):
         return x, y, z
     m = places.moves[entry]
     return (

@@ -17,14 +17,15 @@ from splatview.edit.operations.crop import RemoveCrop
 from splatview.edit.operations.transform import Transform
 from splatview.edit.selectors import Brush, Everything, Polygon, Rectangle
 from splatview.scene import InputError, look_at
-from splatview.scene.edits import PREVIEW, SELECTED, Adjustment, Crop
-from splatview.scene.progress import Progress
+from splatview.scene.edits import PALETTE_SHIFT, PREVIEW, SELECTED, Adjustment, Crop
+from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.gizmos import angles_of, quat_from_matrix, quat_of
 from splatview.viewer.editing.session import Editing, EditSession
 from splatview.viewer.editing.tool_state import Stroke, mode_of
 from splatview.viewer.editing.tools import place_of
 from splatview.viewer.palette import matching
+from splatview.viewer.panels import select
 from splatview.viewer.panels.crops import outline
 
 CAMERA = look_at((0, 0, -4), (0, 0, 0), up=(0, -1, 0), width=200, height=100)
@@ -293,3 +294,18 @@ def test_outlines_lie_on_the_crops_surface():
     unit = ball.unit_from_world
     own = np.concatenate(outline(ball)) @ unit[:, :3].T + unit[:, 3]
     np.testing.assert_allclose(np.linalg.norm(own, axis=1), 1, atol=1e-9)
+
+
+def test_a_histogram_under_way_is_of_the_edits_that_it_began_with(session, monkeypatch):
+    works, seen = [], []
+    monkeypatch.setattr(session, "start", lambda title, work, done, **_: works.append(work))
+    monkeypatch.setattr(
+        select,
+        "attribute_values",
+        lambda name, gaussians, edits, tools: seen.append(edits) or np.zeros(len(gaussians), np.float32),
+    )
+    select.measure(session)
+    assert session.apply(Opacity(value=0.5, scope="scene"))  # the job gives way, and is not waited for
+    works[0](NO_PROGRESS)
+    assert (session.document.marks >> PALETTE_SHIFT).max() == 1
+    assert (seen[0].marks >> PALETTE_SHIFT).max() < len(seen[0].palette) == 1

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from imgui_bundle import ImVec4, imgui, implot
 
+from splatview.edit.impact import frozen
 from splatview.edit.operations import Select
 from splatview.edit.selectors import AttributeRange
 from splatview.edit.selectors.attributes import ATTRIBUTES, attribute_values, histogram, usual_span
@@ -117,7 +118,7 @@ def measure(session: EditSession) -> None:
     if session.job is not None:
         return
     name, key = form.attribute, (form.attribute, document.versions)
-    gaussians, edits, tools = document.gaussians, document.edits, document.tools
+    gaussians, edits, tools = document.gaussians, frozen(document.edits), document.tools
     fresh = form.histogram is None
 
     def work(progress: Progress):
