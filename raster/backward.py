@@ -23,11 +23,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from splatview.raster.blocks import MEMBERS, exp2_by
 from splatview.raster.compiling import inline, kernel
 from splatview.raster.forward import (
     BLOCKS,
     CENTRES,
     CHUNK,
+    EXPONENTS,
     G_A,
     G_B,
     G_BLUE,
@@ -38,33 +40,38 @@ from splatview.raster.forward import (
     G_X,
     G_Y,
     GATHERED,
+    ITEMS,
+    NO_BLOCKS,
     STRIPS,
     TILE_PIXELS,
     block_in_image,
     gather,
+    list_items,
     place_centres,
     touched_blocks,
 )
 from splatview.raster.parameters import TILE
 from splatview.raster.simd import (
+    BLOCK_LANES,
     BLOCK_WIDTH,
     LANES,
     absolute,
     aligned,
     any_within,
-    exp2,
     fill,
     fma,
     greatest_lane,
     keep_if_at_least,
     keep_if_below,
     load,
+    load_block,
     maximum,
     minimum,
     negate,
     prefetch,
     reciprocal,
     spread,
+    spread_block,
     store,
     sum_lanes,
 )
@@ -91,15 +98,15 @@ def start_pixels(pixels, left, top, first_pixel, background, transmittance, d_im
         for row in range(rows):
             for column in range(columns):
                 lane = row * BLOCK_WIDTH + column
-                at = block * PIXEL_VECTORS * LANES + lane
+                at = block * PIXEL_VECTORS * BLOCK_LANES + lane
                 d_pixel = d_image[y + row, x + column]
                 # Alpha is 1 - T: a gradient by alpha is minus one by the final transmittance.
                 by_transmittance = -d_pixel[3]
                 for channel in range(3):
-                    pixels[at + (2 + channel) * LANES] = d_pixel[channel]
+                    pixels[at + (2 + channel) * BLOCK_LANES] = d_pixel[channel]
                     by_transmittance += d_pixel[channel] * background[channel]
-                final = transmittance[first_pixel + block * LANES + lane]
-                pixels[at + 5 * LANES] = final * by_transmittance
+                final = transmittance[first_pixel + block * BLOCK_LANES + lane]
+                pixels[at + 5 * BLOCK_LANES] = final * by_transmittance
 
 
 @inline
@@ -116,74 +123,77 @@ def most_contrib(first_pixel, n_contrib, below):
 
 @inline
 def restore_pixels(pixels, first_pixel, count, final_transmittance, n_contrib, alive):
-    """Gives pixels whose n_contrib is `count` their final transmittance and S. Widens alive (2·STRIPS,)
-    int64, the first and last block by strip with such pixels."""
+    """Gives pixels whose n_contrib is `count` their final transmittance and S. Returns `alive`, a set of
+    bits, with the blocks of such pixels."""
     before, behind = pixels.dtype.type(count - 0.5), pixels.dtype.type(count + 0.5)
     for strip in range(STRIPS):
         for block in range(BLOCKS):
-            at = (strip * BLOCKS + block) * LANES
-            ended = load(n_contrib, first_pixel + at)
+            at = (strip * BLOCKS + block) * BLOCK_LANES
+            ended = load_block(n_contrib, first_pixel + at)
             if any_within(ended, before, behind):
                 base = at * PIXEL_VECTORS
-                transmittance = load(pixels, base) + if_within(
-                    load(final_transmittance, first_pixel + at), ended, before, behind
+                transmittance = load_block(pixels, base) + if_within(
+                    load_block(final_transmittance, first_pixel + at), ended, before, behind
                 )
-                shown = load(pixels, base + LANES)
-                shown = shown + if_within(load(pixels, base + 5 * LANES), ended, before, behind)
+                shown = load_block(pixels, base + BLOCK_LANES)
+                shown = shown + if_within(load_block(pixels, base + 5 * BLOCK_LANES), ended, before, behind)
                 store(pixels, base, transmittance)
-                store(pixels, base + LANES, shown)
-                alive[2 * strip] = min(alive[2 * strip], block)
-                alive[2 * strip + 1] = max(alive[2 * strip + 1], block)
+                store(pixels, base + BLOCK_LANES, shown)
+                alive |= np.uint64(1) << np.uint64(at // BLOCK_LANES)
+    return alive
 
 
 @inline
 def if_within(value, x, above, below):
     """`value` where above <= x < below, else 0."""
-    return keep_if_below(keep_if_at_least(value, x, spread(above)), x, spread(below))
+    return keep_if_below(keep_if_at_least(value, x, spread_block(above)), x, spread_block(below))
 
 
 @inline
-def differentiate(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixels, centres, first_row, sums):
+def differentiate(
+    gathered, start, stop, items, firsts, log2_cut, max_alpha, pixels, centres, first_row, sums
+):
     """Walks gathered splats [start, stop) from last to first; the sums of the j-th go to sums[first_row + j],
-    sums being (pairs·SUMS,)."""
+    sums being (pairs·SUMS,). items and firsts as `list_items` made them."""
     for k in range(start, stop):
         j = max(stop - 1 - (k - start), 0)  # max tells the compiler that no index is negative
-        a, b = spread(gathered[G_A * CHUNK + j]), spread(gathered[G_B * CHUNK + j])
-        c, log2_opacity = spread(gathered[G_C * CHUNK + j]), spread(gathered[G_LOG2_OPACITY * CHUNK + j])
-        red = spread(gathered[G_RED * CHUNK + j])
-        green = spread(gathered[G_GREEN * CHUNK + j])
-        blue = spread(gathered[G_BLUE * CHUNK + j])
+        a, b = spread_block(gathered[G_A * CHUNK + j]), spread_block(gathered[G_B * CHUNK + j])
+        c, log2_opacity = (
+            spread_block(gathered[G_C * CHUNK + j]),
+            spread_block(gathered[G_LOG2_OPACITY * CHUNK + j]),
+        )
+        red = spread_block(gathered[G_RED * CHUNK + j])
+        green = spread_block(gathered[G_GREEN * CHUNK + j])
+        blue = spread_block(gathered[G_BLUE * CHUNK + j])
         one = fill(red, 1.0)
         cut, cap = fill(red, log2_cut), fill(red, max_alpha)
-        x_mean, y_mean = spread(gathered[G_X * CHUNK + j]), spread(gathered[G_Y * CHUNK + j])
+        x_mean, y_mean = spread_block(gathered[G_X * CHUNK + j]), spread_block(gathered[G_Y * CHUNK + j])
         t_sum = tu_sum = tux_sum = tuy_sum = tv_sum = tvy_sum = abs_x = abs_y = fill(red, 0.0)
         red_sum = green_sum = blue_sum = fill(red, 0.0)
-        # One loop over the blocks of both strips: the processor guesses the end of each wrong for most pairs.
-        first = max(np.int64(rows[j]), alive[0])
-        here = max(min(np.int64(rows[CHUNK + j]), alive[1]) + 1 - first, 0)
-        beside = max(np.int64(rows[2 * CHUNK + j]), alive[2])
-        blocks = here + max(min(np.int64(rows[3 * CHUNK + j]), alive[3]) + 1 - beside, 0)
-        for block in range(blocks):
-            place = first + block if block < here else BLOCKS + beside + block - here
-            place = place & (STRIPS * BLOCKS - 1)  # tells the compiler that no index is negative
-            dx = load(centres, 2 * place * LANES) - x_mean
-            dy = load(centres, (2 * place + 1) * LANES) - y_mean
+        # One loop over the blocks of all strips: the processor guesses the end of each wrong for most pairs.
+        for n in range(np.int64(firsts[j]), np.int64(firsts[j + 1])):
+            place = np.int64(items[n]) & (STRIPS * BLOCKS - 1)  # tells the compiler that no index is negative
+            dx = load_block(centres, 2 * place * BLOCK_LANES) - x_mean
+            dy = load_block(centres, (2 * place + 1) * BLOCK_LANES) - y_mean
             u, v = fma(b, dy, a * dx), c * dy
             power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
-            uncapped = exp2(power)
+            uncapped = exp2_by(centres, EXPONENTS, power)
             alpha = keep_if_at_least(minimum(uncapped, cap), power, cut)
 
-            base = place * PIXEL_VECTORS * LANES
-            after, behind = load(pixels, base), load(pixels, base + LANES)
-            d_red, d_green = load(pixels, base + 2 * LANES), load(pixels, base + 3 * LANES)
-            d_blue = load(pixels, base + 4 * LANES)
+            base = place * PIXEL_VECTORS * BLOCK_LANES
+            after, behind = load_block(pixels, base), load_block(pixels, base + BLOCK_LANES)
+            d_red, d_green = (
+                load_block(pixels, base + 2 * BLOCK_LANES),
+                load_block(pixels, base + 3 * BLOCK_LANES),
+            )
+            d_blue = load_block(pixels, base + 4 * BLOCK_LANES)
             thinned = reciprocal(one - alpha)
             ratio = alpha * thinned
             weight = ratio * after
             shown = fma(d_red, red, fma(d_green, green, d_blue * blue))
             t = ratio * fma(after, shown, negate(behind))
             store(pixels, base, after * thinned)
-            store(pixels, base + LANES, fma(weight, shown, behind))
+            store(pixels, base + BLOCK_LANES, fma(weight, shown, behind))
             red_sum = fma(weight, d_red, red_sum)
             green_sum = fma(weight, d_green, green_sum)
             blue_sum = fma(weight, d_blue, blue_sum)
@@ -218,12 +228,12 @@ def differentiate(gathered, start, stop, rows, alive, log2_cut, max_alpha, pixel
 def add_background(pixels, first_pixel, transmittance, d_background):
     """Writes the sum of final transmittance times gradient by colour over a tile to d_background (3,). Uses
     up `pixels`."""
-    red = green = blue = spread(pixels.dtype.type(0))
-    for at in range(0, TILE_PIXELS, LANES):
-        final, base = load(transmittance, first_pixel + at), at * PIXEL_VECTORS
-        red = fma(final, load(pixels, base + 2 * LANES), red)
-        green = fma(final, load(pixels, base + 3 * LANES), green)
-        blue = fma(final, load(pixels, base + 4 * LANES), blue)
+    red = green = blue = spread_block(pixels.dtype.type(0))
+    for at in range(0, TILE_PIXELS, BLOCK_LANES):
+        final, base = load_block(transmittance, first_pixel + at), at * PIXEL_VECTORS
+        red = fma(final, load_block(pixels, base + 2 * BLOCK_LANES), red)
+        green = fma(final, load_block(pixels, base + 3 * BLOCK_LANES), green)
+        blue = fma(final, load_block(pixels, base + 4 * BLOCK_LANES), blue)
     store(pixels, 0, sum_lanes((red, green, blue)))
     for channel in range(3):
         d_background[channel] = pixels[channel]
@@ -254,17 +264,18 @@ def differentiate_tiles(
     n_contrib, d_image (H, W, 4) and sums (pairs·SUMS,) share one dtype.
     """
     gathered = aligned(GATHERED * CHUNK, d_image.dtype)
-    rows = aligned(STRIPS * 2 * CHUNK, np.int32)
+    touched = aligned(CHUNK, np.uint32)
     pixels, centres = aligned(PIXELS, d_image.dtype), aligned(CENTRES, d_image.dtype)
     place_centres(centres)
-    alive, starts = np.empty(2 * STRIPS, np.int64), np.empty(LANES, np.int64)
+    starts = np.empty(LANES, np.int64)
+    items, firsts = aligned(ITEMS, np.int32), np.empty(CHUNK + 1, np.uint32)
+    members = MEMBERS.reshape(-1)
     flat_records = records.reshape(-1)
     for tile in range(start, stop):
         top, left = tile // view.tiles_x * TILE, tile % view.tiles_x * TILE
         first_pixel = tile * TILE_PIXELS
         start_pixels(pixels, left, top, first_pixel, background, transmittance, d_image)
-        for strip in range(STRIPS):
-            alive[2 * strip], alive[2 * strip + 1] = BLOCKS, -1
+        alive = NO_BLOCKS
         first, end = offsets[tile] - base, offsets[tile + 1] - base
         until = min(most_contrib(first_pixel, n_contrib, np.inf), end - first)
         walked[tile] = until
@@ -285,16 +296,17 @@ def differentiate_tiles(
                 None,
                 starts,
             )
-            touched_blocks(gathered, until - begin, view.log2_cut, view.log2_share, rows)
+            touched_blocks(gathered, until - begin, view.log2_cut, view.log2_share, touched)
             while until > begin:
-                restore_pixels(pixels, first_pixel, until, transmittance, n_contrib, alive)
+                alive = restore_pixels(pixels, first_pixel, until, transmittance, n_contrib, alive)
                 before = max(most_contrib(first_pixel, n_contrib, until), begin)
+                list_items(touched, before - begin, until - begin, alive, members, items, firsts)
                 differentiate(
                     gathered,
                     before - begin,
                     until - begin,
-                    rows,
-                    alive,
+                    items,
+                    firsts,
                     view.log2_cut,
                     view.max_alpha,
                     pixels,

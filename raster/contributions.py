@@ -13,29 +13,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from splatview.raster.blocks import MEMBERS, exp2_by
 from splatview.raster.camera_models import make_optics
 from splatview.raster.compiling import TASKS_PER_THREAD, available_threads, inline, kernel, run
 from splatview.raster.edits import edit_arrays
 from splatview.raster.forward import (
+    ALL_BLOCKS,
     BLOCKS,
+    CENTRES,
     CHUNK,
     EARLY_STOP,
-    G_A,
-    G_B,
-    G_C,
-    G_LOG2_OPACITY,
-    G_X,
-    G_Y,
+    EXPONENTS,
+    G_CUT,
+    ITEMS,
     PIXELS,
     STRIPS,
     TILE_PIXELS,
     block_in_image,
+    exponent_at,
     gather,
     gathered_columns,
+    list_items,
     make_termination,
+    place_centres,
     start_pixels,
-    surfel_columns,
-    surfel_exponent_at,
     terminate_pixels,
     touched_blocks,
 )
@@ -43,22 +44,19 @@ from splatview.raster.frame import Arrangement, StageClock, arrange, draw, tile_
 from splatview.raster.parameters import TILE, Parameters, make_view, parameters_of, used_degree
 from splatview.raster.project import LOG2_OPACITY, RX, RY, X_REST, Y_REST, A, B, C, X, Y
 from splatview.raster.simd import (
-    BLOCK_HEIGHT,
+    BLOCK_LANES,
     BLOCK_WIDTH,
     LANES,
     aligned,
-    column_centres,
-    exp2,
     fill,
     fma,
     keep_if_at_least,
     keep_if_below,
-    load,
+    load_block,
     maximum,
     minimum,
     negate,
-    row_centres,
-    spread,
+    spread_block,
     store,
     sum_lanes,
 )
@@ -197,58 +195,27 @@ def _add_contributions(
 
 @inline
 def contribution_chunk(
-    gathered,
-    count,
-    rows,
-    alive,
-    log2_cut,
-    log2_share,
-    max_alpha,
-    pixels,
-    place,
-    first_row,
-    pairs,
-    surfels,
-    scratch,
+    items, firsts, gathered, count, centres, max_alpha, pixels, place, first_row, pairs, surfels, scratch
 ):
     """Walks gathered splats; the j-th one's sum of contributions goes to pairs[first_row + j]. In `pixels`
     the largest contribution so far takes the place of red, and its splat's place in the tile's list that of
-    green; the first gathered splat is at `place`. scratch (LANES,) is room to work in."""
-    number = gathered.dtype.type
+    green; the first gathered splat is at `place`. items and firsts as `list_items` made them; scratch
+    (LANES,) is room to work in."""
     for j in range(count):
-        b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
-        log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
-        cut = maximum(log2_opacity + fill(b, log2_share), fill(b, log2_cut))
-        cap, step = fill(b, max_alpha), fill(b, BLOCK_HEIGHT)
-        y_centres = row_centres(b) - spread(gathered[G_Y * CHUNK + j])
-        here = fill(b, place + j)
-        total = fill(b, 0.0)
-        for strip in range(STRIPS):
-            first = max(np.int64(rows[2 * strip * CHUNK + j]), alive[2 * strip])
-            last = min(np.int64(rows[(2 * strip + 1) * CHUNK + j]), alive[2 * strip + 1])
-            x_mean = gathered[G_X * CHUNK + j] - number(strip * BLOCK_WIDTH)
-            dx = column_centres(b) - spread(x_mean)
-            adx = spread(gathered[G_A * CHUNK + j]) * dx
-            if surfels is not None:
-                across = surfel_columns(gathered, j, surfels, dx)
-            dy = y_centres + fill(b, first * BLOCK_HEIGHT)
-            for block in range(first, last + 1):
-                if surfels is None:
-                    u, v = fma(b, dy, adx), c * dy
-                    power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
-                else:
-                    plane = across  # pyright: ignore[reportPossiblyUnboundVariable]
-                    power = log2_opacity - surfel_exponent_at(plane, gathered, j, surfels, dy)
-                dy = dy + step
-                alpha = keep_if_at_least(minimum(exp2(power), cap), power, cut)
-                base = (strip * BLOCKS + block) * 4 * LANES
-                transmittance, most = load(pixels, base), load(pixels, base + LANES)
-                contribution = alpha * transmittance
-                store(pixels, base, fma(negate(alpha), transmittance, transmittance))
-                before = keep_if_at_least(load(pixels, base + 2 * LANES), most, contribution)
-                store(pixels, base + 2 * LANES, before + keep_if_below(here, most, contribution))
-                store(pixels, base + LANES, maximum(most, contribution))
-                total = total + contribution
+        cut = spread_block(gathered[G_CUT * CHUNK + j])
+        cap, here, total = fill(cut, max_alpha), fill(cut, place + j), fill(cut, 0.0)
+        for n in range(np.int64(firsts[j]), np.int64(firsts[j + 1])):
+            block = np.int64(items[n]) & (STRIPS * BLOCKS - 1)
+            power = exponent_at(gathered, centres, j, block, surfels)
+            alpha = keep_if_at_least(minimum(exp2_by(centres, EXPONENTS, power), cap), power, cut)
+            base = block * 4 * BLOCK_LANES
+            transmittance, most = load_block(pixels, base), load_block(pixels, base + BLOCK_LANES)
+            contribution = alpha * transmittance
+            store(pixels, base, fma(negate(alpha), transmittance, transmittance))
+            before = keep_if_at_least(load_block(pixels, base + 2 * BLOCK_LANES), most, contribution)
+            store(pixels, base + 2 * BLOCK_LANES, before + keep_if_below(here, most, contribution))
+            store(pixels, base + BLOCK_LANES, maximum(most, contribution))
+            total = total + contribution
         store(scratch, 0, sum_lanes((total,)))
         pairs[first_row + j] = scratch[0]
 
@@ -260,10 +227,12 @@ def contribution_tiles(
     """Writes the sums of the pairs of tiles [start, stop) to pairs (P,), the first of which is place `base`,
     and their parts of the dominant-splat ids (H, W) int32. The other arguments as in `forward`."""
     gathered = aligned(gathered_columns(surfels) * CHUNK, records.dtype)
-    rows = aligned(STRIPS * 2 * CHUNK, np.int32)
-    pixels = aligned(PIXELS, records.dtype)
+    touched, items = aligned(CHUNK, np.uint32), aligned(ITEMS, np.int32)
+    firsts, members = np.empty(CHUNK + 1, np.uint32), MEMBERS.reshape(-1)
+    pixels, centres = aligned(PIXELS, records.dtype), aligned(CENTRES, records.dtype)
+    place_centres(centres)
     transmittance, n_contrib = aligned(TILE_PIXELS, records.dtype), aligned(TILE_PIXELS, records.dtype)
-    alive, scratch = np.empty(2 * STRIPS, np.int64), aligned(LANES, pairs.dtype)
+    scratch = aligned(LANES, pairs.dtype)
     flat_records, starts = records.reshape(-1), np.empty(LANES, np.int64)
     height, width = ids.shape
     for tile in range(start, stop):
@@ -271,11 +240,9 @@ def contribution_tiles(
         transmittance[:] = 0
         n_contrib[:] = 0
         start_pixels(pixels, left, top, view)
-        for strip in range(STRIPS):
-            alive[2 * strip], alive[2 * strip + 1] = 0, BLOCKS - 1
         first, end = offsets[tile] - base, offsets[tile + 1] - base
-        position, some = first, True
-        while position < end and some:
+        position, alive = first, ALL_BLOCKS
+        while position < end and alive:
             count = min(end - position, CHUNK)
             stop_at = min(position + 2 * CHUNK, end)
             count = gather(
@@ -292,14 +259,14 @@ def contribution_tiles(
                 surfels,
                 starts,
             )
-            touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
+            touched_blocks(gathered, count, view.log2_cut, view.log2_share, touched)
+            list_items(touched, 0, count, alive, members, items, firsts)
             contribution_chunk(
+                items,
+                firsts,
                 gathered,
                 count,
-                rows,
-                alive,
-                view.log2_cut,
-                view.log2_share,
+                centres,
                 view.max_alpha,
                 pixels,
                 position - first,
@@ -309,7 +276,7 @@ def contribution_tiles(
                 scratch,
             )
             position += count
-            some = terminate_pixels(
+            alive = terminate_pixels(
                 pixels, 0, termination.stop_below, position - first, transmittance, n_contrib, alive
             )
         pairs[position:end] = 0
@@ -319,12 +286,13 @@ def contribution_tiles(
             for row in range(block_rows):
                 for column in range(columns):
                     lane = row * BLOCK_WIDTH + column
-                    at = block * 4 * LANES + lane
+                    at = block * 4 * BLOCK_LANES + lane
                     found = (
-                        pixels[at + LANES] > 0 and 1 - transmittance[block * LANES + lane] >= least_coverage
+                        pixels[at + BLOCK_LANES] > 0
+                        and 1 - transmittance[block * BLOCK_LANES + lane] >= least_coverage
                     )
                     # A float32 holds places below 2^24 exactly; none of any size is beyond the list.
-                    place = min(first + np.int64(pixels[at + 2 * LANES]), end - 1)
+                    place = min(first + np.int64(pixels[at + 2 * BLOCK_LANES]), end - 1)
                     ids[y + row, x + column] = lists[place] if found else NO_ID
 
 

@@ -18,7 +18,7 @@ from splatview.raster.forward import TILE_PIXELS, Termination, draw_tiles, make_
 from splatview.raster.forward_per_pixel import draw_tiles_by_pixel
 from splatview.raster.parameters import NonzeroBands, Parameters, View, nonzero_bands
 from splatview.raster.project import RECORD, project
-from splatview.raster.simd import LANES
+from splatview.raster.simd import BLOCK_LANES
 from splatview.raster.sort import Workspace, sorted_by_depth
 from splatview.raster.surfels import SURFEL, SurfelArrays, SurfelModel, make_surfels
 from splatview.raster.tiles import SPARE, count_pairs, count_spans, find_spans, place_lists, write_pairs
@@ -201,7 +201,7 @@ def draw(
             ranges = tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD)
             if slopes is None:
                 more = (background, termination, image, transmittance, n_contrib)
-                evaluated += LANES * sum(run(draw_tiles, ranges, (*shared, *more), threads))
+                evaluated += BLOCK_LANES * sum(run(draw_tiles, ranges, (*shared, *more), threads))
             else:
                 more = (arranged.depths, slopes, background, termination.stop_below, image)
                 evaluated += sum(run(draw_tiles_by_pixel, ranges, (*shared, *more), threads))

@@ -1,8 +1,12 @@
-"""Vectors of 16 lanes inside numba kernels: what the inner loops are written in.
+"""Vectors inside numba kernels: what the inner loops are written in.
 
 Whether LLVM vectorises a scalar loop hangs on alias checks and cost models; code written on vectors
-is vector code on every machine: a float32 vector is one AVX-512 register, two of AVX, four of SSE or
-NEON. The lanes are a block of 8x2 pixels: small splats then waste fewer lanes than on a row of 16.
+is vector code on every machine. There are two sorts of them:
+
+- LANES splats, or numbers of anything: in float32 one AVX-512 register, two of AVX, four of SSE or NEON;
+- a block of pixels: 8x2 with AVX-512, and 4x2 else, one register of AVX. Most splats are a few pixels large
+  and waste fewer lanes of small blocks, whose sums stay in registers, too: of 100,000 splats at 256x256, each
+  touches 3.4 blocks of 4x2 in place of 2.5 of 8x2 in a tile.
 
 A `Vector` exists only inside kernels; its element type, float32 or float64, is that of the array or
 scalar that it came from. + - * / and min, max, abs, math.sqrt take vectors, or a vector and a number, so
@@ -17,6 +21,7 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import llvmlite.binding
 import numba
 import numpy as np
 from llvmlite import ir
@@ -24,12 +29,22 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic as _numba_intrinsic
 from numba.extending import models, overload, register_model
 
-from splatview.raster.compiling import BOUNDSCHECK, inline
+from splatview.raster.compiling import BOUNDSCHECK, config, inline
 
-BLOCK_WIDTH, BLOCK_HEIGHT = 8, 2
-"""Pixels that a vector covers: lane = row·BLOCK_WIDTH + column."""
+LANES = 16
 
-LANES = BLOCK_WIDTH * BLOCK_HEIGHT
+
+def _has_wide_registers() -> bool:
+    """Whether kernels are compiled for AVX-512."""
+    if config.CPU_NAME is not None or config.CPU_FEATURES is not None:
+        return "+avx512f" in (config.CPU_FEATURES or "").split(",")
+    return llvmlite.binding.get_host_cpu_features().get("avx512f", False)
+
+
+BLOCK_WIDTH, BLOCK_HEIGHT = 8 if _has_wide_registers() else 4, 2
+"""Pixels that a block covers: lane = row·BLOCK_WIDTH + column."""
+
+BLOCK_LANES = BLOCK_WIDTH * BLOCK_HEIGHT
 
 CACHE_LINE = 64
 """Bytes."""
@@ -39,22 +54,22 @@ intrinsic: Any = _numba_intrinsic
 
 
 class Vector(types.Type):
-    """numba type of LANES floats."""
+    """numba type of LANES or BLOCK_LANES floats."""
 
-    def __init__(self, element: types.Float) -> None:
-        self.element = element
-        super().__init__(name=f"Vector({element} x {LANES})")
+    def __init__(self, element: types.Float, lanes: int = LANES) -> None:
+        self.element, self.lanes = element, lanes
+        super().__init__(name=f"Vector({element} x {lanes})")
 
 
 @register_model(Vector)
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Vector) -> None:
         element = ir.FloatType() if fe_type.element.bitwidth == 32 else ir.DoubleType()
-        super().__init__(dmm, fe_type, ir.VectorType(element, LANES))
+        super().__init__(dmm, fe_type, ir.VectorType(element, fe_type.lanes))
 
 
 def int_type(vector: Vector) -> ir.VectorType:
-    return ir.VectorType(ir.IntType(vector.element.bitwidth), LANES)
+    return ir.VectorType(ir.IntType(vector.element.bitwidth), vector.lanes)
 
 
 def float_type(context: Any, vector: Vector) -> ir.VectorType:
@@ -62,16 +77,17 @@ def float_type(context: Any, vector: Vector) -> ir.VectorType:
 
 
 def constant(llvm_type: Any, value: float) -> ir.Constant:
-    return ir.Constant(llvm_type, [value] * LANES if isinstance(llvm_type, ir.VectorType) else value)
+    count = llvm_type.count if isinstance(llvm_type, ir.VectorType) else 0
+    return ir.Constant(llvm_type, [value] * count if count else value)
 
 
-def emit_spread(builder: Any, scalar: Any) -> Any:
+def emit_spread(builder: Any, scalar: Any, lanes: int = LANES) -> Any:
     """A scalar in every lane."""
-    vector_type = ir.VectorType(scalar.type, LANES)
+    vector_type = ir.VectorType(scalar.type, lanes)
     one = builder.insert_element(
         ir.Constant(vector_type, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0)
     )
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), lanes), [0] * lanes)
     return builder.shuffle_vector(one, ir.Constant(vector_type, ir.Undefined), zeros)
 
 
@@ -82,7 +98,7 @@ def call_llvm(builder: Any, name: str, result: Any, *args: Any) -> Any:
 
 
 def suffix(vector: Vector) -> str:
-    return f"v{LANES}f{vector.element.bitwidth}"
+    return f"v{vector.lanes}f{vector.element.bitwidth}"
 
 
 def _vector_op(arity: int, emit: Callable[..., Any]) -> Any:
@@ -140,16 +156,21 @@ reciprocal = _vector_op(1, _emit_reciprocal)
 """1 / x."""
 
 
-@intrinsic
-def spread(typingctx: Any, scalar: Any) -> Any:
-    """A float scalar in every lane."""
-    if not isinstance(scalar, types.Float):
-        return None
+def _spread_to(lanes: int) -> Any:
+    def spread(typingctx: Any, scalar: Any) -> Any:
+        if not isinstance(scalar, types.Float):
+            return None
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return emit_spread(builder, args[0])
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return emit_spread(builder, args[0], lanes)
 
-    return Vector(scalar)(scalar), codegen
+        return Vector(scalar, lanes)(scalar), codegen
+
+    return intrinsic(spread)
+
+
+spread, spread_block = _spread_to(LANES), _spread_to(BLOCK_LANES)
+"""A float scalar in every lane."""
 
 
 @intrinsic
@@ -159,7 +180,8 @@ def fill(typingctx: Any, like: Any, value: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return emit_spread(builder, context.cast(builder, args[1], signature.args[1], like.element))
+        number = context.cast(builder, args[1], signature.args[1], like.element)
+        return emit_spread(builder, number, like.lanes)
 
     return like(like, value), codegen
 
@@ -201,7 +223,7 @@ def _lane_constant(values: list[float]) -> Any:
     """An intrinsic that gives a constant vector of the type of its argument."""
 
     def constant(typingctx: Any, like: Any) -> Any:
-        if not isinstance(like, Vector):
+        if not (isinstance(like, Vector) and like.lanes == len(values)):
             return None
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -212,9 +234,9 @@ def _lane_constant(values: list[float]) -> Any:
     return intrinsic(constant)
 
 
-column_centres = _lane_constant([lane % BLOCK_WIDTH + 0.5 for lane in range(LANES)])
+column_centres = _lane_constant([lane % BLOCK_WIDTH + 0.5 for lane in range(BLOCK_LANES)])
 """x of the pixel centres of a block, from its left edge, in the type of the argument."""
-row_centres = _lane_constant([lane // BLOCK_WIDTH + 0.5 for lane in range(LANES)])
+row_centres = _lane_constant([lane // BLOCK_WIDTH + 0.5 for lane in range(BLOCK_LANES)])
 """y of the pixel centres of a block, from its top edge, in the type of the argument."""
 
 
@@ -227,18 +249,33 @@ def is_flat(array: Any) -> bool:
     return isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C"
 
 
+def _load_of(lanes: int) -> Any:
+    def load(typingctx: Any, array: Any, index: Any) -> Any:
+        if not (is_flat(array) and isinstance(array.dtype, types.Float)):
+            return None
+        vector = Vector(array.dtype, lanes)
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            llvm_type = float_type(context, vector)
+            address = address_of(context, builder, array, args[0], args[1], llvm_type)
+            return builder.load(address, align=array.dtype.bitwidth // 8)
+
+        return vector(array, types.intp), codegen
+
+    return intrinsic(load)
+
+
+_load, _load_block = _load_of(LANES), _load_of(BLOCK_LANES)
+
+
 @intrinsic
-def _load(typingctx: Any, array: Any, index: Any) -> Any:
-    if not (is_flat(array) and isinstance(array.dtype, types.Float)):
+def _lanes_of(typingctx: Any, vector: Any) -> Any:
+    """The number of a vector's lanes."""
+    if not isinstance(vector, Vector):
         return None
-    vector = Vector(array.dtype)
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        llvm_type = float_type(context, vector)
-        address = address_of(context, builder, array, args[0], args[1], llvm_type)
-        return builder.load(address, align=array.dtype.bitwidth // 8)
-
-    return vector(array, types.intp), codegen
+    return types.intp(vector), lambda context, builder, signature, args: ir.Constant(
+        context.get_value_type(types.intp), vector.lanes
+    )
 
 
 @intrinsic
@@ -295,15 +332,23 @@ _store_run, _store_same = _emit_ints(1), _emit_ints(0)
 def load(array, index):
     """LANES floats of a flat, C-contiguous array from `index` on. 0 <= index <= size - LANES."""
     if BOUNDSCHECK:
-        _check_bounds(array, index)
+        check_bounds(array, index, LANES)
     return _load(array, index)
+
+
+@inline
+def load_block(array, index):
+    """The same of BLOCK_LANES floats."""
+    if BOUNDSCHECK:
+        check_bounds(array, index, BLOCK_LANES)
+    return _load_block(array, index)
 
 
 @inline
 def store(array, index, value):
     """Writes a vector to a flat array of its element type from `index` on."""
     if BOUNDSCHECK:
-        _check_bounds(array, index)
+        check_bounds(array, index, _lanes_of(value))
     _store(array, index, value)
 
 
@@ -311,7 +356,7 @@ def store(array, index, value):
 def store_int(array, index, value):
     """Writes a vector, rounded towards zero, to a flat int32 array. The values must fit."""
     if BOUNDSCHECK:
-        _check_bounds(array, index)
+        check_bounds(array, index, LANES)
     _store_int(array, index, value)
 
 
@@ -319,7 +364,7 @@ def store_int(array, index, value):
 def store_run(array, index, first):
     """Writes the LANES numbers from `first` on to a flat int32 array from `index` on."""
     if BOUNDSCHECK:
-        _check_bounds(array, index)
+        check_bounds(array, index, LANES)
     _store_run(array, index, first)
 
 
@@ -327,14 +372,14 @@ def store_run(array, index, first):
 def store_same(array, index, value):
     """Writes a number LANES times to a flat int32 array from `index` on."""
     if BOUNDSCHECK:
-        _check_bounds(array, index)
+        check_bounds(array, index, LANES)
     _store_same(array, index, value)
 
 
 @inline
-def _check_bounds(array, index):
+def check_bounds(array, index, lanes):
     """Bounds checking as numba's own, which vectors escape as they are loaded by address."""
-    if index < 0 or index + LANES > array.size:
+    if index < 0 or index + lanes > array.size:
         raise IndexError("a vector reaches beyond its array")
 
 
@@ -347,8 +392,8 @@ def aligned(count, dtype):
 
 
 def _any(builder: Any, mask: Any) -> Any:
-    bits = builder.bitcast(mask, ir.IntType(LANES))
-    return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+    bits = builder.bitcast(mask, ir.IntType(mask.type.count))
+    return builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
 
 
 @intrinsic
@@ -358,7 +403,7 @@ def any_above(typingctx: Any, vector: Any, scalar: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return _any(builder, builder.fcmp_ordered(">", args[0], emit_spread(builder, args[1])))
+        return _any(builder, builder.fcmp_ordered(">", args[0], emit_spread(builder, args[1], vector.lanes)))
 
     return types.boolean(vector, scalar), codegen
 
@@ -370,42 +415,78 @@ def any_within(typingctx: Any, vector: Any, above: Any, below: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        above = builder.fcmp_ordered(">", args[0], emit_spread(builder, args[1]))
-        below = builder.fcmp_ordered("<", args[0], emit_spread(builder, args[2]))
+        above = builder.fcmp_ordered(">", args[0], emit_spread(builder, args[1], vector.lanes))
+        below = builder.fcmp_ordered("<", args[0], emit_spread(builder, args[2], vector.lanes))
         return _any(builder, builder.and_(above, below))
 
     return types.boolean(vector, above, below), codegen
 
 
+def emit_shuffle(builder: Any, x: Any, y: Any, lanes: list[int]) -> Any:
+    """A vector of the numbered lanes of x and, after them, y."""
+    return builder.shuffle_vector(x, y, ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), lanes))
+
+
+CHEAP_LANES = 4
+"""Lanes within which x86 and NEON move float32 numbers in one instruction."""
+
+
+def _run_halves(lanes: int, half: int) -> tuple[list[int], list[int]]:
+    """Of two vectors that hold sums in runs of 2·half lanes the first half of each run, and the second."""
+    near = lanes if half >= CHEAP_LANES else CHEAP_LANES
+    places = [(vector, near_by) for near_by in range(0, lanes, near) for vector in (0, lanes)]
+    runs = [vector + run for vector, near_by in places for run in range(near_by, near_by + near, 2 * half)]
+    first = [lane for run in runs for lane in range(run, run + half)]
+    return first, [lane + half for lane in first]
+
+
+def _summed_in(lanes: int) -> list[int]:
+    """By lane of what `_emit_sums` gives, the place of the vector that is summed there."""
+    owners, half = [[place] * lanes for place in range(lanes)], lanes // 2
+    while half:
+        first, _ = _run_halves(lanes, half)
+        owners = [[(x + y)[lane] for lane in first] for x, y in zip(owners[::2], owners[1::2], strict=True)]
+        half //= 2
+    return owners[0]
+
+
+def _emit_sums(builder: Any, vectors: list[Any]) -> Any:
+    """The sums of lanes of vectors, no more than they have lanes: lane i has that of the i-th."""
+    llvm_type = vectors[0].type
+    zero, half = constant(llvm_type, 0.0), llvm_type.count // 2
+    rows: list[Any] = [None] * llvm_type.count
+    for vector, place in zip(vectors, _summed_in(llvm_type.count), strict=False):
+        rows[place] = vector
+    while half:
+        first, second = _run_halves(llvm_type.count, half)
+        pairs = [
+            None if x is None and y is None else (x or zero, y or zero)
+            for x, y in zip(rows[::2], rows[1::2], strict=True)
+        ]
+        rows = [
+            pair and builder.fadd(emit_shuffle(builder, *pair, first), emit_shuffle(builder, *pair, second))
+            for pair in pairs
+        ]
+        half //= 2
+    return rows[0]
+
+
 @intrinsic
 def sum_lanes(typingctx: Any, vectors: Any) -> Any:
-    """The sums over the lanes of a tuple of up to 16 vectors, as one vector: lane i has the i-th sum.
+    """The sums over the lanes of a tuple of up to LANES vectors, as one of LANES: lane i has the i-th sum.
 
-    A transposing tree: 15 additions and 30 shuffles for 16 vectors, where separate sums need 64 of each.
+    A transposing tree: for 11 vectors of 8 lanes 12 additions and 24 shuffles, where separate sums need three
+    of each for every vector. Halves are added first: where they are registers that takes no shuffle.
     """
     if not (isinstance(vectors, types.UniTuple) and isinstance(vectors.dtype, Vector)):
         return None
-    result = vectors.dtype
+    lanes, result = vectors.dtype.lanes, Vector(vectors.dtype.element)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        def shuffle(x: Any, y: Any, lanes: list[int]) -> Any:
-            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
-            return builder.shuffle_vector(x, y, mask)
-
         rows = cgutils.unpack_tuple(builder, args[0], vectors.count)
-        stride = 1
-        while stride < LANES:
-            if len(rows) % 2:
-                rows.append(constant(rows[0].type, 0.0))
-            # Even places of `stride` take sums of neighbours of x, odd ones those of y.
-            low = [i + (LANES - stride if i & stride else 0) for i in range(LANES)]
-            high = [i + (LANES if i & stride else stride) for i in range(LANES)]
-            rows = [
-                builder.fadd(shuffle(x, y, low), shuffle(x, y, high))
-                for x, y in zip(rows[::2], rows[1::2], strict=True)
-            ]
-            stride *= 2
-        return rows[0]
+        groups = [rows[first : first + lanes] for first in range(0, LANES, lanes)]
+        sums = [_emit_sums(builder, group) if group else constant(rows[0].type, 0.0) for group in groups]
+        return sums[0] if len(sums) == 1 else emit_shuffle(builder, sums[0], sums[1], list(range(LANES)))
 
     return result(vectors), codegen
 
@@ -415,7 +496,7 @@ def widened(typingctx: Any, vector: Any) -> Any:
     """A vector in float64."""
     if not isinstance(vector, Vector):
         return None
-    result = Vector(types.float64)
+    result = Vector(types.float64, vector.lanes)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return args[0] if vector == result else builder.fpext(args[0], float_type(context, result))
@@ -428,7 +509,7 @@ def converted(typingctx: Any, vector: Any, array: Any) -> Any:
     """A vector in the float type of an array."""
     if not (isinstance(vector, Vector) and isinstance(array, types.Array)):
         return None
-    result = Vector(array.dtype)
+    result = Vector(array.dtype, vector.lanes)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         if vector == result:
@@ -446,11 +527,9 @@ def greatest_lane(typingctx: Any, vector: Any) -> Any:
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        greatest, half = args[0], LANES // 2
+        greatest, half = args[0], vector.lanes // 2
         while half:
-            lanes = [lane ^ half for lane in range(LANES)]
-            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
-            other = builder.shuffle_vector(greatest, ir.Constant(greatest.type, ir.Undefined), mask)
+            other = emit_shuffle(builder, greatest, greatest, [lane ^ half for lane in range(vector.lanes)])
             greatest = builder.select(builder.fcmp_ordered(">", greatest, other), greatest, other)
             half //= 2
         return builder.extract_element(greatest, ir.Constant(ir.IntType(32), 0))
@@ -523,7 +602,7 @@ def exp2(typingctx: Any, x: Any) -> Any:
         fraction = builder.fsub(args[0], builder.fsub(shifted, magic))
         coefficients = exp2_coefficients(EXP2_DEGREE[x.element.bitwidth])
         power = emit_polynomial(builder, x, fraction, coefficients)
-        exponent = builder.shl(builder.bitcast(shifted, ints), ir.Constant(ints, [mantissa] * LANES))
+        exponent = builder.shl(builder.bitcast(shifted, ints), constant(ints, mantissa))
         return builder.bitcast(builder.add(builder.bitcast(power, ints), exponent), llvm_type)
 
     return x(x), codegen
@@ -552,8 +631,8 @@ def log2_lanes(typingctx: Any, x: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         llvm_type, ints = float_type(context, x), int_type(x)
         bits = builder.bitcast(args[0], ints)
-        root_half = ir.Constant(ints, [int(np.float64(math.sqrt(0.5)).view(np.int64))] * LANES)
-        shift = ir.Constant(ints, [52] * LANES)
+        root_half = constant(ints, int(np.float64(math.sqrt(0.5)).view(np.int64)))
+        shift = constant(ints, 52)
         exponent = builder.ashr(builder.sub(bits, root_half), shift)
         m = builder.bitcast(builder.sub(bits, builder.shl(exponent, shift)), llvm_type)
         one = constant(llvm_type, 1.0)

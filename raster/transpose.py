@@ -11,12 +11,14 @@ from numba.core import types
 
 from splatview.raster.compiling import BOUNDSCHECK, inline
 from splatview.raster.simd import (
+    BLOCK_LANES,
     BLOCK_WIDTH,
     LANES,
     Vector,
     address_of,
     call_llvm,
     constant,
+    emit_shuffle,
     emit_spread,
     float_type,
     intrinsic,
@@ -116,28 +118,22 @@ def _store_interleaved(
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         array, index, second, *colours = args
-        half = BLOCK_WIDTH // 2
-
-        def shuffle(x: Any, y: Any, lanes: list[int]) -> Any:
-            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes)
-            return builder.shuffle_vector(x, y, mask)
-
+        quad = LANES // 4  # pixels that are a vector of the picture
+        red, green, blue, alpha = colours
         for row, first in enumerate((index, second)):
             pairs = [
                 lane
-                for k in range(BLOCK_WIDTH)
-                for lane in (row * BLOCK_WIDTH + k,)
-                for lane in (lane, LANES + lane)
+                for place in range(row * BLOCK_WIDTH, (row + 1) * BLOCK_WIDTH)
+                for lane in (place, BLOCK_LANES + place)
             ]
-            rg, ba = shuffle(colours[0], colours[1], pairs), shuffle(colours[2], colours[3], pairs)
-            for part in range(2):
-                places = [2 * (part * half + k) for k in range(half)]
-                quads = [
-                    lane for place in places for lane in (place, place + 1, LANES + place, LANES + place + 1)
-                ]
-                at = builder.add(first, ir.Constant(first.type, part * LANES))
-                address = address_of(context, builder, signature.args[0], array, at, colours[0].type)
-                builder.store(shuffle(rg, ba, quads), address, align=signature.args[0].dtype.bitwidth // 8)
+            rg, ba = emit_shuffle(builder, red, green, pairs), emit_shuffle(builder, blue, alpha, pairs)
+            for part in range(0, BLOCK_WIDTH, quad):
+                places = range(2 * part, 2 * (part + quad), 2)
+                quads = [lane for one in places for at in (one, len(pairs) + one) for lane in (at, at + 1)]
+                at = builder.add(first, ir.Constant(first.type, 4 * part))
+                pixels = emit_shuffle(builder, rg, ba, quads)
+                address = address_of(context, builder, signature.args[0], array, at, pixels.type)
+                builder.store(pixels, address, align=signature.args[0].dtype.bitwidth // 8)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, types.intp, *colours), codegen
@@ -174,6 +170,6 @@ def _check_rows(array, starts, count, columns, index):
 def store_interleaved(array, index, second, red, green, blue, alpha):
     """Writes the pixels of a block to a flat picture of four numbers a pixel: its first row from `index` on,
     its second from `second` on."""
-    if BOUNDSCHECK and (min(index, second) < 0 or max(index, second) + 2 * LANES > array.size):
+    if BOUNDSCHECK and (min(index, second) < 0 or max(index, second) + 4 * BLOCK_WIDTH > array.size):
         raise IndexError("a block reaches beyond its picture")
     _store_interleaved(array, index, second, red, green, blue, alpha)

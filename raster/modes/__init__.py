@@ -24,7 +24,7 @@ from splatview.raster.modes.bodies import (
 )
 from splatview.raster.modes.painted import count_tiles, map_counts, map_depths, paint_depths, paint_normals
 from splatview.raster.parameters import NonzeroBands, Parameters, make_view, used_degree
-from splatview.raster.simd import LANES
+from splatview.raster.simd import BLOCK_LANES
 from splatview.raster.sort import ReusableOrder, Workspace
 from splatview.raster.surfels import make_surfels
 from splatview.scene import Camera, RenderSettings
@@ -161,7 +161,7 @@ def _draw_shapes(
             shared = bins.offsets, int(bins.offsets[band[0]]), lists, arranged.records
             ranges = tile_ranges(bins.offsets, band, threads * TASKS_PER_THREAD)
             if mode == "overdraw":
-                evaluated += LANES * sum(
+                evaluated += BLOCK_LANES * sum(
                     run(count_tiles, ranges, (*shared, arranged.surfels, view, counts), threads)
                 )
             elif mode == "points":

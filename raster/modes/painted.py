@@ -10,42 +10,38 @@ import math
 
 import numpy as np
 
+from splatview.raster.blocks import MEMBERS
 from splatview.raster.compiling import inline, kernel
 from splatview.raster.edits import MOVES, moved, palette_row, turned
 from splatview.raster.forward import (
+    ALL_BLOCKS,
     BLOCKS,
+    CENTRES,
     CHUNK,
-    G_A,
-    G_B,
-    G_C,
-    G_LOG2_OPACITY,
-    G_X,
-    G_Y,
+    G_CUT,
+    ITEMS,
+    PLACE_BITS,
     STRIPS,
     TILE_PIXELS,
     block_in_image,
+    exponent_at,
     gather,
     gathered_columns,
-    surfel_columns,
-    surfel_exponent_at,
+    list_items,
+    place_centres,
     touched_blocks,
 )
 from splatview.raster.parameters import TILE
 from splatview.raster.project import BLUE, GREEN, RED, camera_point, rotation_matrix
 from splatview.raster.simd import (
-    BLOCK_HEIGHT,
+    BLOCK_LANES,
     BLOCK_WIDTH,
     LANES,
     aligned,
-    column_centres,
     fill,
-    fma,
     keep_if_at_least,
-    load,
-    maximum,
-    negate,
-    row_centres,
-    spread,
+    load_block,
+    spread_block,
     store,
 )
 
@@ -93,37 +89,14 @@ def paint_normals(start, stop, visible, means, quats, log_scales, view, parallel
 
 
 @inline
-def count_chunk(gathered, count, rows, log2_cut, log2_share, pixels, surfels):
-    """Counts gathered splats in the `pixels` (TILE_PIXELS,) of a tile. Returns the number of blocks."""
-    number = gathered.dtype.type
-    blocks = 0
-    for j in range(count):
-        b, c = spread(gathered[G_B * CHUNK + j]), spread(gathered[G_C * CHUNK + j])
-        log2_opacity = spread(gathered[G_LOG2_OPACITY * CHUNK + j])
-        cut = maximum(log2_opacity + fill(b, log2_share), fill(b, log2_cut))
-        one, step = fill(b, 1.0), fill(b, BLOCK_HEIGHT)
-        y_centres = row_centres(b) - spread(gathered[G_Y * CHUNK + j])
-        for strip in range(STRIPS):
-            first = np.int64(rows[2 * strip * CHUNK + j])
-            last = min(np.int64(rows[(2 * strip + 1) * CHUNK + j]), BLOCKS - 1)
-            x_mean = gathered[G_X * CHUNK + j] - number(strip * BLOCK_WIDTH)
-            dx = column_centres(b) - spread(x_mean)
-            adx = spread(gathered[G_A * CHUNK + j]) * dx
-            if surfels is not None:
-                across = surfel_columns(gathered, j, surfels, dx)
-            dy = y_centres + fill(b, first * BLOCK_HEIGHT)
-            blocks += max(last - first + 1, 0)
-            for block in range(first, last + 1):
-                if surfels is None:
-                    u, v = fma(b, dy, adx), c * dy
-                    power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
-                else:
-                    plane = across  # pyright: ignore[reportPossiblyUnboundVariable]
-                    power = log2_opacity - surfel_exponent_at(plane, gathered, j, surfels, dy)
-                dy = dy + step
-                at = (strip * BLOCKS + block) * LANES
-                store(pixels, at, load(pixels, at) + keep_if_at_least(one, power, cut))
-    return blocks
+def count_items(items, total, gathered, centres, pixels, surfels):
+    """Counts gathered splats in the `pixels` (TILE_PIXELS,) of a tile; arguments as in `blend_items`."""
+    for n in range(total):
+        item = np.int64(items[n])
+        j, place = (item >> PLACE_BITS) & (CHUNK - 1), item & (STRIPS * BLOCKS - 1)
+        power = exponent_at(gathered, centres, j, place, surfels)
+        one, cut, at = fill(power, 1.0), spread_block(gathered[G_CUT * CHUNK + j]), place * BLOCK_LANES
+        store(pixels, at, load_block(pixels, at) + keep_if_at_least(one, power, cut))
 
 
 @kernel(allocates=True)
@@ -131,8 +104,10 @@ def count_tiles(start, stop, offsets, base, lists, records, surfels, view, count
     """Writes how many splats touch each pixel of tiles [start, stop), hidden ones included: counts (H, W) in
     the records' dtype. Returns the number of blocks evaluated. The other arguments as in `forward`."""
     gathered = aligned(gathered_columns(surfels) * CHUNK, records.dtype)
-    rows = aligned(STRIPS * 2 * CHUNK, np.int32)
-    pixels = aligned(TILE_PIXELS, records.dtype)
+    touched, items = aligned(CHUNK, np.uint32), aligned(ITEMS, np.int32)
+    pixels, centres = aligned(TILE_PIXELS, records.dtype), aligned(CENTRES, records.dtype)
+    members = MEMBERS.reshape(-1)
+    place_centres(centres)
     flat_records, starts = records.reshape(-1), np.empty(LANES, np.int64)
     blocks = 0
     for tile in range(start, stop):
@@ -156,14 +131,16 @@ def count_tiles(start, stop, offsets, base, lists, records, surfels, view, count
                 surfels,
                 starts,
             )
-            touched_blocks(gathered, count, view.log2_cut, view.log2_share, rows)
-            blocks += count_chunk(gathered, count, rows, view.log2_cut, view.log2_share, pixels, surfels)
+            touched_blocks(gathered, count, view.log2_cut, view.log2_share, touched)
+            total = list_items(touched, 0, count, ALL_BLOCKS, members, items, None)
+            count_items(items, total, gathered, centres, pixels, surfels)
+            blocks += total
             position += count
         for block in range(STRIPS * BLOCKS):
             x, y, columns, block_rows = block_in_image(block, left, top, counts.shape[1], counts.shape[0])
             for row in range(block_rows):
                 for column in range(columns):
-                    counts[y + row, x + column] = pixels[block * LANES + row * BLOCK_WIDTH + column]
+                    counts[y + row, x + column] = pixels[block * BLOCK_LANES + row * BLOCK_WIDTH + column]
     return blocks
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from splatview.raster import simd
+from splatview.raster import blocks, simd
 from splatview.raster import simd as exp
 from splatview.raster.compiling import inline
 
@@ -16,6 +16,27 @@ from splatview.raster.compiling import inline
 def exponentials(numbers, out):
     x = simd.load(numbers, 0)
     simd.store(out, 0, exp.exp2(x))
+
+
+@inline
+def exponentials_of_blocks(numbers, constants, out):
+    blocks.place_exp2_constants(constants, 0)
+    simd.store(out, 0, blocks.exp2_by(constants, 0, simd.load_block(numbers, 0)))
+
+
+@inline
+def sums_of_blocks(numbers, out):
+    x, y = simd.load_block(numbers, 0), simd.load_block(numbers, simd.BLOCK_LANES)
+    simd.store(out, 0, simd.sum_lanes((x, y, x + y, y, x, x, y, y, x + x, y, x)))
+
+
+@inline
+def listed(sets, members, out):
+    total = 0
+    for j in range(len(sets)):
+        blocks.store_members(out, total, members, sets[j], 100 * j)
+        total += blocks.count_bits(sets[j])
+    return total
 
 
 @inline
@@ -100,3 +121,28 @@ def test_sums_over_lanes(dtype):
     assert (out[3:16] == 0).all()
     assert out[16:32].tolist() == [x, y] * 8
     assert out[32] == y
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_sums_of_blocks(dtype):
+    numbers = np.arange(1, 2 * simd.BLOCK_LANES + 1).astype(dtype)
+    out = np.full(simd.LANES, np.nan, dtype)
+    sums_of_blocks(numbers, out)
+    x, y = numbers[: simd.BLOCK_LANES].sum(), numbers[simd.BLOCK_LANES :].sum()
+    assert out.tolist() == [x, y, x + y, y, x, x, y, y, x + x, y, x, 0, 0, 0, 0, 0]
+
+
+@pytest.mark.parametrize(("dtype", "error"), [(np.float32, 4e-6), (np.float64, 1e-14)])
+def test_exp2_of_blocks(dtype, error):
+    constants = np.full(blocks.EXP2_CONSTANTS, np.nan, dtype)
+    for numbers in np.linspace(-100, 100, 640).astype(dtype).reshape(-1, simd.BLOCK_LANES):
+        out = np.empty(simd.BLOCK_LANES, dtype)
+        exponentials_of_blocks(numbers, constants, out)
+        assert np.abs(out / np.exp2(numbers.astype(np.float64)) - 1).max() <= error
+
+
+def test_sets_are_listed():
+    sets = np.array([0b10110, 0, 0xFF, 1], np.uint64)
+    out = np.zeros(64, np.int32)
+    total = listed(sets, blocks.MEMBERS.reshape(-1), out)
+    assert out[:total].tolist() == [1, 2, 4, *range(200, 208), 300]
