@@ -235,27 +235,31 @@ def differentiate_group(view, optics, sums, lanes):
 
 
 @inline
-def differentiate_colours(view, optics, degree, sums, lanes, basis, coefficients, along):
+def differentiate_colours(view, optics, degree, sums, excess, lanes, basis, coefficients, along):
     """Adds what the colours' dependence on the direction moves to the columns of position and camera, and
-    replaces the columns of `coefficients`, as `load_sh` has them, by the gradients. along (16·LANES,)
-    float64 is room to work in."""
+    replaces the columns of `coefficients`, as `load_sh` has them, by the gradients. basis and along
+    (16·LANES,) are room to work in, in the dtype of the splats' sums, columns too, and what is computed of
+    colours has it too; `excess` times the sums are the gradients."""
     nx, ny, nz = three_columns(lanes, DIRECTION)
+    to_x, to_y, to_z = converted(nx, basis), converted(ny, basis), converted(nz, basis)
     count = (degree + 1) * (degree + 1)
-    sh_basis(nx, ny, nz, degree, basis)
+    sh_basis(to_x, to_y, to_z, degree, basis)
     red, green, blue = sh_sum(coefficients, basis, count)
     nothing = fill(red, 0.0)
     d_red = keep_if_below(column(sums, D_RED), nothing, red)
     d_green = keep_if_below(column(sums, D_GREEN), nothing, green)
     d_blue = keep_if_below(column(sums, D_BLUE), nothing, blue)
+    whole_red, whole_green, whole_blue = held(d_red * excess), held(d_green * excess), held(d_blue * excess)
     for k in range(count):
-        by_red = d_red * widened(column(coefficients, 3 * k))
-        by_green = fma(d_green, widened(column(coefficients, 3 * k + 1)), by_red)
-        set_column(along, k, fma(d_blue, widened(column(coefficients, 3 * k + 2)), by_green))
+        by_red = d_red * converted(column(coefficients, 3 * k), basis)
+        by_green = fma(d_green, converted(column(coefficients, 3 * k + 1), basis), by_red)
+        set_column(along, k, fma(d_blue, converted(column(coefficients, 3 * k + 2), basis), by_green))
         weight = column(basis, k)
-        set_column(coefficients, 3 * k, converted(weight * d_red, coefficients))
-        set_column(coefficients, 3 * k + 1, converted(weight * d_green, coefficients))
-        set_column(coefficients, 3 * k + 2, converted(weight * d_blue, coefficients))
-    dx, dy, dz = sh_direction_gradient(nx, ny, nz, degree, along)
+        set_column(coefficients, 3 * k, converted(weight * whole_red, coefficients))
+        set_column(coefficients, 3 * k + 1, converted(weight * whole_green, coefficients))
+        set_column(coefficients, 3 * k + 2, converted(weight * whole_blue, coefficients))
+    dx, dy, dz = sh_direction_gradient(to_x, to_y, to_z, degree, along)
+    dx, dy, dz = widened(dx) * excess, widened(dy) * excess, widened(dz) * excess
     radial = nx * dx + ny * dy + nz * dz
     dx, dy, dz = dx - nx * radial, dy - ny * radial, dz - nz * radial
     if optics.parallel is not None:  # the direction is the camera's own and turns with it
@@ -272,13 +276,18 @@ def differentiate_colours(view, optics, degree, sums, lanes, basis, coefficients
 
 
 @inline
+def held(gradient):
+    """A column kept within what float32 holds. NaN stays."""
+    most = fill(gradient, FLOAT32_MAX)
+    return minimum(most, maximum(negate(most), gradient))
+
+
+@inline
 def hold(lanes):
     """Keeps the columns of gradients within what float32 holds: by a quaternion of length 1e-30, say, or a
     splat at the eye, they are more. NaN stays."""
     for index in range(D_POSITION, DIRECTION):
-        gradient = column(lanes, index)
-        most = fill(gradient, FLOAT32_MAX)
-        set_column(lanes, index, minimum(most, maximum(negate(most), gradient)))
+        set_column(lanes, index, held(column(lanes, index)))
 
 
 @kernel(allocates=True)
@@ -315,7 +324,7 @@ def project_backward(
     by POSE_BLOCK splats: see `gradients`. The sums are those of a loss `excess` times smaller. Rows of splats
     that are not visible become 0.
     """
-    basis, along = aligned(16 * LANES, np.float64), aligned(16 * LANES, np.float64)
+    basis, along = aligned(16 * LANES, splat_sums.dtype), aligned(16 * LANES, splat_sums.dtype)
     coefficients = aligned(SH_COLUMNS * LANES, sh.dtype)
     starts = np.empty(LANES, np.int64)
     flat_sh, flat_d_sh, flat_sums = sh.reshape(-1), d_sh.reshape(-1), splat_sums.reshape(-1)
@@ -333,13 +342,13 @@ def project_backward(
             starts[lane] = np.int64(i) * SUMS
             ask_for_sh(flat_sh, np.int64(visible[min(group + LANES + lane, run_stop - 1)]) * numbers, used)
         load_rows(flat_sums, starts, SUMS, rows, 0)
-        for index in range(D_BLUE + 1):
+        for index in range(D_RED):
             set_column(sums, index, widened(column(rows, index)) * excess)
         differentiate_group(view, optics, sums, lanes)
         for lane in range(LANES):
             starts[lane] = np.int64(visible[min(group + lane, run_stop - 1)]) * numbers
         load_sh(flat_sh, starts, used, coefficients)
-        differentiate_colours(view, optics, degree, sums, lanes, basis, coefficients, along)
+        differentiate_colours(view, optics, degree, rows, excess, lanes, basis, coefficients, along)
         coefficients[used * LANES :] = 0
         for lane in range(LANES):
             starts[lane] = np.int64(visible[min(group + lane, run_stop - 1)]) * numbers
