@@ -12,9 +12,9 @@ from numba.core import types
 from numba.extending import models, register_model
 
 from splatview.raster.compiling import BOUNDSCHECK, inline
+from splatview.raster.exponentials import EXP2_DEGREE, exp2_coefficients
 from splatview.raster.simd import (
     BLOCK_LANES,
-    EXP2_DEGREE,
     LANES,
     Vector,
     address_of,
@@ -22,7 +22,6 @@ from splatview.raster.simd import (
     check_bounds,
     constant,
     emit_spread,
-    exp2_coefficients,
     float_type,
     fma,
     int_type,

@@ -14,7 +14,8 @@ from numba.core import types
 from numba.extending import register_jitable
 
 from splatview.raster.compiling import inline
-from splatview.raster.simd import Vector, emit_polynomial, fill, intrinsic, keep_if_at_least, keep_if_below
+from splatview.raster.exponentials import emit_polynomial
+from splatview.raster.simd import Vector, fill, intrinsic, keep_if_at_least, keep_if_below
 from splatview.scene import Camera
 from splatview.scene import lens_formula as formula
 from splatview.scene.lens_formula import (

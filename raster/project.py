@@ -37,6 +37,7 @@ from splatview.raster.edits import (
     turned,
     turned_back,
 )
+from splatview.raster.exponentials import exp_lanes, log2_lanes
 from splatview.raster.parameters import HALF_LOG2_E, TILE
 from splatview.raster.simd import (
     LANES,
@@ -44,14 +45,12 @@ from splatview.raster.simd import (
     any_above,
     ceil,
     converted,
-    exp_lanes,
     fill,
     floor,
     fma,
     keep_if_at_least,
     keep_if_below,
     load,
-    log2_lanes,
     maximum,
     minimum,
     prefetch,

@@ -13,6 +13,7 @@ import numpy as np
 from splatview.raster.backward import ABS_X, ABS_Y, D_BLUE, D_GREEN, D_RED, SUMS, TU, TUX, TUY, TV, TVY, T
 from splatview.raster.camera_models import image_axes, point_gradient, viewing_direction
 from splatview.raster.compiling import SPLATS_PER_TASK, inline, kernel
+from splatview.raster.exponentials import exp_lanes
 from splatview.raster.project import (
     CONIC_SCALE,
     LOG_SCALE,
@@ -40,7 +41,6 @@ from splatview.raster.simd import (
     LANES,
     aligned,
     converted,
-    exp_lanes,
     fill,
     fma,
     keep_if_below,

@@ -15,13 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from splatview.raster.compiling import inline, kernel
+from splatview.raster.exponentials import LOG2_E, exp2
 from splatview.raster.simd import (
     LANES,
-    LOG2_E,
     absolute,
     aligned,
     divide,
-    exp2,
     fill,
     fma,
     keep_if_at_least,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from splatview.raster import blocks, simd
-from splatview.raster import simd as exp
+from splatview.raster import exponentials as exp
 from splatview.raster.compiling import inline
 
 
