@@ -125,10 +125,13 @@ def with_exposure(effects: tuple[Effect, ...], exposures: Exposures) -> tuple[Ef
     )
 
 
+UNTOLD = "none: decided before this part of the run, or photos were looked at too seldom to tell"
+
+
 def with_outliers(effects: tuple[Effect, ...], outliers: Outliers) -> tuple[Effect, ...]:
     """The same once it is decided which photos are left out."""
     on = bool(outliers.left_out.any())
-    why = outliers.evidence or (f"{outliers.left_out.sum()} photos, as the run began" if on else "none")
+    why = outliers.evidence or (f"{outliers.left_out.sum()} photos, as the run began" if on else UNTOLD)
     return tuple(replace(effect, on=on, why=why) if effect.name == OUTLIERS else effect for effect in effects)
 
 

@@ -78,6 +78,11 @@ class Outliers:
             return False
         return DECIDED_AT <= progress < DECIDED_BY and rounds >= LEAST_ROUNDS
 
+    def is_missed(self, progress: float) -> bool:
+        """Whether it can no longer be decided: photos were looked at too seldom while it could have been."""
+        undecided = self.mode == "auto" and not self.is_decided and len(self.names) >= FEWEST_PHOTOS
+        return undecided and progress >= DECIDED_BY
+
     def measure(
         self,
         parameters: Parameters,

@@ -416,6 +416,8 @@ class Trainer:
             self.group.add_up([wrong])  # processes must agree, to the last photo
             outliers.decide(wrong > self.group.size / 2)
             self.leave_out(outliers.left_out)
+        elif outliers.is_missed(progress):
+            outliers.is_decided = True
 
     def _decide_exposures(self, progress: float) -> None:
         if self.exposures.is_due(progress, self._rounds):

@@ -147,6 +147,14 @@ def test_nobody_says_which_of_a_few_are_wrong(views, start) -> None:
     assert not trainer.outliers.is_decided and not trainer.outliers.left_out.any()
 
 
+def test_a_run_too_short_to_tell_says_so(views, start, tmp_path: Path) -> None:
+    photos = [turned(view, 12) if i == 3 else view for i, view in enumerate(views)]
+    trainer = make_trainer(photos, start, iterations=60)  # 0.3 of it is less than a round of all photos
+    lines, effect = noted(trainer, tmp_path)
+    assert trainer.outliers.is_decided and not trainer.outliers.left_out.any()
+    assert not lines and not effect.on and "looked at too seldom to tell" in effect.why
+
+
 def test_more_than_a_quarter_are_not_left_out() -> None:
     outliers = Outliers([f"{i}" for i in range(8)])
     outliers.decide(np.arange(8) < 3)
