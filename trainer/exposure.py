@@ -29,9 +29,9 @@ Dropped: to learn vignetting too. After a minute photos are darker than the scen
 (`banana`, 0.2 % standard error) and 0.9 % (`miku`, 0.4 %), a third of what would call for a gain.
 
 A held-out photo has an exposure too, which nobody has trained. Where the correction is on it is measured
-after a fit by least squares: the left half with the gain and offset of the right half, and the right half
-with those of the left (after the practice of Martin-Brualla et al. 2021, NeRF in the Wild, who fit on the
-left half and measure the right). No pixel is measured by a fit that has seen it. Where the correction is
+after a fit to most of its pixels: the left half with the gain and offset of the right half, and the right
+half with those of the left (after the practice of Martin-Brualla et al. 2021, NeRF in the Wild, who fit on
+the left half and measure the right). No pixel is measured by a fit that has seen it. Where the correction is
 off, pictures are measured as they are.
 """
 
@@ -91,6 +91,15 @@ RATE, RATE_END = 1.5e-2, 1e-3
 
 LARGEST_LOG_GAIN = 1.5
 """Fits beyond a factor of 4.5 are those of pictures that show nothing yet."""
+
+GREY_GAINS = np.exp(np.linspace(-LARGEST_LOG_GAIN, LARGEST_LOG_GAIN, 61))[
+    np.argsort(np.abs(np.arange(61) - 30))
+]
+MOST_FITTED, SAME, FITS = 20_000, 0.1, 4
+"""How the exposure of a held-out photo is found: the gain by which most pixels differ by less than `SAME`, of
+1, of so many, the one nearest to 1 first; and lines for the colours of such pixels, time and again. One photo
+of `castle` has a tree on half of its left half, which no other shows: least squares over all pixels, and
+least absolute differences, made the right half a third as bright (6.9 and 6.7 dB; as it is 8.5, so 8.6)."""
 
 
 class Evidence(NamedTuple):
@@ -294,19 +303,37 @@ def fitted(
     picture: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gain (3,) and offset (3,) that take a picture (H, W, 3) nearest to a photo (H, W, 3) uint8, by least
-    squares over the pixels of the mask (H, W); 1 and 0 for a colour that is the same all over."""
-    use = np.ones(photo.shape[:2], np.bool_) if mask is None else mask
+    squares over those pixels of the mask (H, W) that show the same; 1 and 0 for a colour that is the same all
+    over."""
+    use = np.ones(photo.shape[:2], np.bool_) if mask is None else mask.copy()
+    use &= np.isfinite(picture).all(axis=2)
     x, y = picture[use].astype(np.float64), photo[use] / 255.0
+    gains, offsets = np.ones(3), np.zeros(3)
     if len(x) == 0:
-        return np.ones(3), np.zeros(3)
-    mean_x, mean_y = x.mean(axis=0), y.mean(axis=0)
-    variance = ((x - mean_x) ** 2).mean(axis=0)
-    covariance = ((x - mean_x) * (y - mean_y)).mean(axis=0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gain = np.clip(covariance / variance, np.exp(-LARGEST_LOG_GAIN), np.exp(LARGEST_LOG_GAIN))
-    flat = ~(variance > 1e-12)
-    gain = np.where(flat, 1.0, gain)
-    return gain, np.where(flat, 0.0, mean_y - gain * mean_x)
+        return gains, offsets
+    some = slice(None, None, -(-len(x) // MOST_FITTED))
+    agreeing = [np.count_nonzero(alike(gain * x[some], y[some])) for gain in GREY_GAINS]
+    gains[:] = GREY_GAINS[int(np.argmax(agreeing))]
+    for _ in range(FITS):
+        same = alike(gains * x + offsets, y)
+        found = [line(x[same, channel], y[same, channel]) for channel in range(3)]
+        gains, offsets = np.array(found).T
+    return gains, offsets
+
+
+def alike(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
+    """(N,) bool: pixels of a picture (N, 3) that may show the same as those of a photo (N, 3)."""
+    return (np.abs(picture - photo) < SAME).all(axis=1)
+
+
+def line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Gain and offset of least squares that take x (N,) to y (N,); 1 and 0 where x is the same all over."""
+    variance = np.var(x) if len(x) else 0.0
+    if not variance > 1e-12:
+        return 1.0, 0.0
+    gain = np.mean((x - x.mean()) * (y - y.mean())) / variance
+    gain = float(np.clip(gain, np.exp(-LARGEST_LOG_GAIN), np.exp(LARGEST_LOG_GAIN)))
+    return gain, float(y.mean() - gain * x.mean())
 
 
 def fitted_by_halves(picture: np.ndarray, view: TrainView) -> np.ndarray:

@@ -288,7 +288,7 @@ class TrainingRun:
             if outliers.left_out.any():
                 self.on_note(f"{OUTLIERS}: {outliers.evidence}; --outliers off trains on them")
             elif disagreeing(outliers.correlations).any():
-                self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check the poses of the cameras")
+                self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check their poses if they look wrong")
         self._tell_easing()
         evaluation = None
         if self.held_out and self._evaluation_is_due(report.iteration):

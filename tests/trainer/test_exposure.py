@@ -178,6 +178,15 @@ def test_halves_are_measured_by_fits_that_have_not_seen_them(views) -> None:
     darker[:, :24] *= 0.5
     out = fitted_by_halves(darker, view)
     assert np.abs(out[:, :24] - pixels[:, :24] / 255).mean() > 0.1
+    # Something that the picture does not show, on most of a half, says nothing about the rest of it.
+    covered = pixels.copy()
+    covered[:25] = 0
+    gain, offset = fitted(picture, covered)
+    np.testing.assert_allclose(gain, [1.2, 1.0, 0.8], atol=0.02)
+    np.testing.assert_allclose(offset, 0.05, atol=0.02)
+    spoilt = picture.copy()
+    spoilt[:3, :5] = np.nan
+    np.testing.assert_allclose(fitted(spoilt, pixels)[0], [1.2, 1.0, 0.8], atol=0.01)
     flat, shift = fitted(np.full((4, 4, 3), 0.5), np.full((4, 4, 3), 255, np.uint8))
     assert flat.tolist() == [1, 1, 1] and shift.tolist() == [0, 0, 0]
 

@@ -3,7 +3,8 @@
     python tools/bench/bench_generalisation.py DATA MADE --checkout NAME=PATH ... [--captures NAME ...]
         [--minutes 1 3 10] [--splits 0 1 2] [--seeds 0 1 2] [--set NAME:FIELD=JSON ...]
 
-DATA holds `captures` and `scenes`, MADE receives the rendered captures (see `capture_set`). Every run is a
+DATA holds `captures` and `scenes`, MADE receives the rendered captures (see `capture_set`), and holds those
+that `public_captures` has posed. Every run is a
 process of a checkout with its own .venv; a minute is that of `generalisation_run.step_seconds`, so that runs
 beside one another, or on a busy machine, end in the same figures. What a call has measured before is kept in
 assets/benchmarks/generalisation.json, and only what is missing is run: the whole takes many hours.
@@ -23,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from capture_set import DRIFTING, REAL, RENDERED, SPLITS, make_all, use_of
+from capture_set import DRIFTING, NAMES, RENDERED, SPLITS, make_all, use_of
 
 from splatview.measure.machine import FOLDER, write_results
 from splatview.trainer.settings import STEPS_OF_A_MINUTE
@@ -115,7 +116,7 @@ def table(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
     has_sky = any("unseen_error" in run for run in runs.values())
     columns += ["wrong sky", "wrong unseen sky", "unseen sky empty"] if has_sky else ["haze"]
     rows = []
-    for capture in [*REAL, *RENDERED]:
+    for capture in NAMES:
         for minutes in sorted({key[3] for key in runs if key[1] == capture}):
             rounds = rounds_of(runs, capture, names, [minutes])
             if not rounds:
@@ -154,7 +155,7 @@ def table_by_marks(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[st
     checkout has run at all marks of the capture."""
     marks = sorted({minutes for _, _, _, minutes, _ in runs})
     rows = []
-    for capture, name in product([*REAL, *RENDERED], names):
+    for capture, name in product(NAMES, names):
         its_marks = [m for m in marks if rounds_of(runs, capture, [name], [m])]
         rounds = rounds_of(runs, capture, [name], its_marks)
         if not its_marks or not rounds:
@@ -189,7 +190,7 @@ def tables(runs: dict[Key, dict[str, Any]], names: list[str], *, by_marks: bool)
 def worse_with_time(runs: dict[Key, dict[str, Any]], name: str) -> list[str]:
     """A line for each capture that a longer run of a checkout makes worse, by the mean over common splits."""
     lines = []
-    for capture in [*REAL, *RENDERED]:
+    for capture in NAMES:
         marks = sorted({key[3] for key in runs if key[0] == name and key[1] == capture})
         for short, long in pairwise(marks):
             both = [
@@ -207,7 +208,7 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("made", type=Path)
     parser.add_argument("--checkout", action="append", required=True, metavar="NAME=PATH")
-    parser.add_argument("--captures", nargs="+", choices=[*REAL, *RENDERED], default=[*REAL, *RENDERED])
+    parser.add_argument("--captures", nargs="+", choices=NAMES, default=list(NAMES))
     parser.add_argument("--minutes", type=float, nargs="+", default=[1.0, 3.0, 10.0])
     parser.add_argument("--splits", type=int, nargs="+", default=list(range(SPLITS)))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])

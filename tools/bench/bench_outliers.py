@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from capture_set import DRIFTING, FAULTS, REAL, RENDERED, make_all, use_of
+from capture_set import DRIFTING, FAULTS, NAMES, RENDERED, make_all, use_of
 
 from splatview.measure.machine import FOLDER, write_results
 
@@ -78,7 +78,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("made", type=Path)
-    parser.add_argument("--captures", nargs="*", default=[*REAL, *RENDERED])
+    parser.add_argument("--captures", nargs="*", default=list(NAMES))
     parser.add_argument("--faults", nargs="*", default=FAULTS)
     parser.add_argument("--told", action="store_true")
     options = parser.parse_args()
@@ -86,7 +86,7 @@ def main() -> None:
     runs: dict[str, dict[str, Any]] = {}
     if output.exists():
         runs = json.loads(output.read_text(encoding="utf8"))["runs"]
-    make_all(options.data, options.made, [name for name in options.captures if name not in REAL])
+    make_all(options.data, options.made, [name for name in options.captures if name in RENDERED])
     ways = {"told": ["--until", str(TOLD_BY)]} if options.told else WAYS
     for capture in options.captures:
         for fault in [*([""] if options.told else []), *options.faults]:
@@ -101,7 +101,7 @@ def main() -> None:
 
 def write(path: Path, runs: dict[str, dict[str, Any]], told: bool) -> None:
     """The runs by capture and fault, and their table."""
-    order = {name: row for row, name in enumerate([*REAL, *RENDERED])}
+    order = {name: row for row, name in enumerate(NAMES)}
     rows = []
     for key in sorted(runs, key=lambda key: (order[key.split("|")[0]], key)):
         capture, fault = key.split("|")

@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 import sky_scenes
 from PIL import Image
+from public_captures import PUBLIC
 
 from splatview.raster import render
 from splatview.scene import Camera, Gaussians, Lens, RenderSettings
@@ -297,8 +298,11 @@ REAL = {
     "miku 40 far": RealCapture("judge", "miku", 4, 40),
 }
 
-DRIFTING = ("demo drift 40", *(name for name in REAL if name.startswith("miku")))
-"""Captures whose photos differ in exposure. What is held out is measured after a fit, see
+NAMES = (*REAL, *PUBLIC, *RENDERED)
+"""All captures, in the order of tables."""
+
+DRIFTING = ("demo drift 40", *(name for name in REAL if name.startswith("miku")), *PUBLIC)
+"""Captures whose photos differ, or may differ, in exposure. What is held out is measured after a fit, see
 `trainer.exposure`, whether a run has learnt exposures or not, so that its runs can be compared."""
 
 SPLITS = 3
@@ -340,6 +344,8 @@ def bench_capture(name: str, data: Path, made: Path, smaller: int = 1) -> Captur
         real = REAL[name]
         whole = load_capture(data / "captures" / real.folder, downscale=real.downscale * smaller)
         return part_of(whole, real.photos, real.spread)
+    if name in PUBLIC:
+        return load_capture(made / name, downscale=PUBLIC[name].downscale * smaller)
     return load_capture(folder_of(name, made), downscale=smaller)
 
 
@@ -386,6 +392,8 @@ def folder_of(name: str, made: Path) -> Path:
 
 
 def use_of(name: str) -> Use:
+    if name in PUBLIC:
+        return PUBLIC[name].use
     return REAL[name].use if name in REAL else RENDERED[name][0]
 
 

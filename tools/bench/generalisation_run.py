@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from capture_set import REAL, bench_capture, folder_of, split_of, with_fault
+from capture_set import RENDERED, bench_capture, folder_of, split_of, with_fault
 from PIL import Image
 
 STEP_MS, KILOPIXEL_MS, THOUSAND_SPLATS_MS = 1.0, 0.2, 0.35
@@ -37,7 +37,7 @@ def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> f
     from splatview.raster import Workspace, draw_frame
 
     found = []
-    if name in REAL:
+    if name not in RENDERED:
         return None
     for view in views:
         path = folder_of(name, made) / view.camera.name
@@ -62,7 +62,7 @@ def sky_errors(
     from splatview.scene.captures import load_capture
 
     folder, found = folder_of(name, made), {}
-    if name in REAL or not (folder / "unseen").exists():
+    if name not in RENDERED or not (folder / "unseen").exists():
         return found
     probes = load_capture(folder / "unseen").photos
     cases = {

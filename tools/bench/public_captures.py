@@ -1,0 +1,156 @@
+"""Photographs that strangers took, from public repositories, and poses for them by COLMAP.
+
+    pip install pycolmap
+    python tools/bench/public_captures.py CLONES OUT [NAME ...]
+
+CLONES holds git directories (bare or not) of the repositories that `PUBLIC` names, as OWNER+NAME or
+OWNER+NAME/repo. Photos are taken out of them into OUT, a folder for each capture, and posed once, with one
+camera for all photos of a capture. Photos that a clone lists without holding them are passed over. Nothing of
+them is part of this repository.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+PHOTOS = (".jpg", ".jpeg", ".png")
+
+
+@dataclass(frozen=True)
+class PublicCapture:
+    """Where photos come from, and how they are trained on in the bench."""
+
+    use: Literal["choose", "judge"]
+    repository: str
+    """OWNER/NAME."""
+    folder: str
+    """Of the photos, in the repository."""
+    downscale: int
+    camera: str = ""
+    """Focal length, centre and distortion, px, kept as they are; empty: COLMAP finds them."""
+    ahead: bool = False
+    """Taken one after another while walking ahead: matched along the way, with less parallax."""
+
+
+PUBLIC = {
+    "castle": PublicCapture("choose", "openMVG/ImageDataset_SceauxCastle", "images", 8),
+    "kermit": PublicCapture("choose", "snavely/bundler_sfm", "examples/kermit", 2),
+    "fox": PublicCapture("choose", "NVlabs/instant-ngp", "data/nerf/fox/images", 5),
+    "street": PublicCapture(
+        "judge", "mapillary/OpenSfM", "data/lund/images", 3, camera="995,512,384,0", ahead=True
+    ),
+    "tree": PublicCapture("judge", "alicevision/dataset_monstree", "full", 12),
+    "beach": PublicCapture("judge", "pierotofy/drone_dataset_brighton_beach", "images", 10),
+    "toy": PublicCapture("judge", "snavely/bundler_sfm", "examples/ET", 2),
+    "bust": PublicCapture("judge", "alicevision/dataset_buddha", "buddha", 7),
+}
+"""Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
+chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
+a shore from a drone; another doll; a stone head on a table."""
+
+
+def git_folder(clones: Path, repository: str) -> Path:
+    """The git directory of a repository. Raises SystemExit where there is none."""
+    clone = clones / repository.replace("/", "+")
+    for place in (clone / "repo", clone / ".git", clone):
+        if (place / "HEAD").exists():
+            return place
+    raise SystemExit(f"{clone}: no clone of {repository}")
+
+
+def extract(git: Path, folder: str, out: Path) -> int:
+    """Writes the photos of a folder of a clone, and says how many there are."""
+
+    def ask(*words: str) -> bytes:
+        return subprocess.run(["git", "-C", git, *words], check=True, capture_output=True).stdout
+
+    missing = {
+        line[1:]
+        for line in ask("rev-list", "--objects", "HEAD", "--missing=print").decode().splitlines()
+        if line.startswith("?")
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    count = 0
+    for line in ask("ls-tree", "-r", "-z", "HEAD", f"{folder}/").decode().split("\0"):
+        if not line.lower().endswith(PHOTOS):
+            continue
+        facts, path = line.split("\t")
+        blob = facts.split()[2]
+        if blob not in missing:
+            (out / Path(path).name).write_bytes(ask("cat-file", "blob", blob))
+            count += 1
+    return count
+
+
+def pose(folder: Path, capture: PublicCapture) -> str:
+    """Finds the cameras of photos in `folder`/images, writes `folder`/sparse/0, and says what was found."""
+    import pycolmap  # pyright: ignore[reportMissingImports]
+
+    pycolmap.logging.minloglevel = 2
+    database = folder / "database.db"
+    database.unlink(missing_ok=True)
+    extraction: Any = pycolmap.FeatureExtractionOptions()
+    reading: Any = pycolmap.ImageReaderOptions()
+    reading.camera_model, reading.camera_params = "SIMPLE_RADIAL", capture.camera
+    if capture.ahead:
+        extraction.sift.peak_threshold = 0.004
+    else:
+        extraction.max_image_size = 2000
+    mode = pycolmap.CameraMode.SINGLE
+    pycolmap.extract_features(
+        database,
+        folder / "images",
+        camera_mode=mode,
+        reader_options=reading,
+        extraction_options=extraction,
+    )
+    options: Any = pycolmap.IncrementalPipelineOptions()
+    if capture.ahead:
+        matching: Any = pycolmap.FeatureMatchingOptions()
+        matching.guided_matching = True
+        pairing: Any = pycolmap.SequentialPairingOptions()
+        pairing.overlap, pairing.quadratic_overlap = 8, False
+        pycolmap.match_sequential(database, matching_options=matching, pairing_options=pairing)
+        options.mapper.init_max_forward_motion = 1.0
+        options.mapper.init_min_tri_angle, options.mapper.init_min_num_inliers = 4, 60
+        options.mapper.abs_pose_min_num_inliers = 15
+        options.mapper.filter_min_tri_angle = options.triangulation.min_angle = 0.7
+    else:
+        pycolmap.match_exhaustive(database)
+    if capture.camera:
+        options.ba_refine_extra_params = options.ba_refine_focal_length = False
+    shutil.rmtree(folder / "sparse", ignore_errors=True)
+    (folder / "sparse").mkdir()
+    found: Mapping[int, Any] = pycolmap.incremental_mapping(
+        database, folder / "images", folder / "sparse", options=options
+    )
+    if 0 not in found:
+        raise SystemExit(f"{folder.name}: no poses found")
+    model = found[0]
+    error = model.compute_mean_reprojection_error()
+    return f"{model.num_reg_images()} photos, {model.num_points3D()} points, error {error:.2f} px"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("clones", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("names", nargs="*", choices=[*PUBLIC, []], default=list(PUBLIC))
+    options = parser.parse_args()
+    for name in options.names:
+        folder, capture = options.out / name, PUBLIC[name]
+        if (folder / "whole").exists():
+            continue
+        count = extract(git_folder(options.clones, capture.repository), capture.folder, folder / "images")
+        print(f"{name}: {count} photos; {pose(folder, capture)}", flush=True)
+        (folder / "whole").touch()
+
+
+if __name__ == "__main__":
+    main()
