@@ -126,6 +126,31 @@ def test_plain_walls_are_no_sky() -> None:
     assert sky.count == 0 and sky.evidence.left > 1 and "plain wall" in str(sky.evidence)
 
 
+def over_ground(even: tuple[float, float, float]) -> Paint:
+    """The chequered plane below one colour, with a noise that is each photo's own."""
+
+    def paint(eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        rng = np.random.default_rng(abs(int(1e6 * eye.sum())))
+        above = np.clip(np.array(even) + rng.normal(scale=0.01, size=directions.shape), 0, 1)
+        return np.where(directions[:, 1:2] > 0, ground(eye, directions), above)
+
+    return paint
+
+
+def test_what_is_as_even_as_a_wall_is_a_sky_where_it_is_bright_and_blue() -> None:
+    bright, warm, dark = (
+        found(capture_of(over_ground(even)))
+        for even in ((0.8, 0.88, 0.97), (0.97, 0.9, 0.8), (0.12, 0.16, 0.2))
+    )
+    for sky in (bright, warm, dark):
+        assert 0.7 < sky.evidence.left < 1.25 and sky.evidence.share > 0.3
+    assert bright.count > 0 and "in the colours of a sky" in str(bright.evidence)
+    assert warm.count == 0 and dark.count == 0 and "plain wall" in str(warm.evidence)
+    # Overexposed: nothing is left of its colours, and nothing is known.
+    white = found(capture_of(lambda eye, d: np.where(d[:, 1:2] > 0, ground(eye, d), np.ones((len(d), 3)))))
+    assert white.evidence.left == np.inf and white.count == 0
+
+
 def test_transparent_photos_and_random_points_say_nothing(open_air: Capture) -> None:
     assert found(capture_of(outdoors, alpha=True)).count == 0
     views = train_views(open_air.train)
