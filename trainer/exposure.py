@@ -323,7 +323,7 @@ def fitted(
 
 def alike(picture: np.ndarray, photo: np.ndarray) -> np.ndarray:
     """(N,) bool: pixels of a picture (N, 3) that may show the same as those of a photo (N, 3)."""
-    return (np.abs(picture - photo) < SAME).all(axis=1)
+    return np.abs(picture - photo).max(axis=1) < SAME
 
 
 def line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:

@@ -36,10 +36,10 @@ NOISE_DB = 0.05
 
 NOTE = (
     "Mean PSNR of held-out thirds of the photos. Rules of the recipe were chosen on the captures marked so, "
-    "and are only judged by the others. Held-out photos of miku and demo drift, which differ in exposure, "
-    "are measured after a fit of it. Haze: mean opacity where held-out photos are empty. Minutes of a model "
-    "of what a step costs on two cores, so that no other work on the machine matters. Runs that their steps "
-    "end are the same for longer marks, and not repeated."
+    "and are only judged by the others. Held-out photos of miku, demo drift and captures of strangers, which "
+    "differ in exposure, are measured after a fit of it. Haze: mean opacity where held-out photos are empty. "
+    "Minutes of a model of what a step costs on two cores, so that no other work on the machine matters. "
+    "Runs that their steps end are the same for longer marks, and not repeated."
 )
 
 Key = tuple[str, str, int, float, int]
