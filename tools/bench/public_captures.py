@@ -46,7 +46,7 @@ PUBLIC = {
         "judge", "mapillary/OpenSfM", "data/lund/images", 3, camera="995,512,384,0", ahead=True
     ),
     "tree": PublicCapture("judge", "alicevision/dataset_monstree", "full", 12),
-    "beach": PublicCapture("judge", "pierotofy/drone_dataset_brighton_beach", "images", 10),
+    "beach": PublicCapture("choose", "pierotofy/drone_dataset_brighton_beach", "images", 10),
     "toy": PublicCapture("judge", "snavely/bundler_sfm", "examples/ET", 2),
     "bust": PublicCapture("judge", "alicevision/dataset_buddha", "buddha", 7),
 }
