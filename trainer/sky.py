@@ -158,8 +158,9 @@ class SkyEvidence(NamedTuple):
             return f"{found}, less than {self.least_share:.0%}{of_any}"
         if not self.left <= self.most_left:
             return f"{found}, and no less as if it were nearer: a plain wall does that"
-        better = f"{found}, {1 / max(self.left, 0.01):.1f} times better than nearer"
-        return f"{better}, in the colours of a sky" if self.coloured else better
+        if self.left > MOST_LEFT:
+            return f"{found}, about as well as nearer, but in the colours of a sky"
+        return f"{found}, {1 / max(self.left, 0.01):.1f} times better than nearer"
 
 
 def spacing_of(count: int) -> float:

@@ -144,7 +144,7 @@ def test_what_is_as_even_as_a_wall_is_a_sky_where_it_is_bright_and_blue() -> Non
     )
     for sky in (bright, warm, dark):
         assert 0.7 < sky.evidence.left < 1.25 and sky.evidence.share > 0.3
-    assert bright.count > 0 and "in the colours of a sky" in str(bright.evidence)
+    assert bright.count > 0 and "but in the colours of a sky" in str(bright.evidence)
     assert warm.count == 0 and dark.count == 0 and "plain wall" in str(warm.evidence)
     # Overexposed: nothing is left of its colours, and nothing is known.
     white = found(capture_of(lambda eye, d: np.where(d[:, 1:2] > 0, ground(eye, d), np.ones((len(d), 3)))))
