@@ -171,10 +171,10 @@ def apart(correlations: np.ndarray) -> np.ndarray:
     if not far.any():
         return found
     order = np.argsort(-np.nan_to_num(lacking), kind="stable")
-    sorted_ = np.nan_to_num(lacking)[order]
+    ordered = np.nan_to_num(lacking)[order]
     for count in range(int(LARGEST_SHARE * len(order)), 0, -1):
-        nearly = sorted_[count - 1] * LEAST_GAP >= lacking[far].min()
-        if nearly and sorted_[count - 1] >= LEAST_GAP * sorted_[count]:
+        nearly = ordered[count - 1] * LEAST_GAP >= lacking[far].min()
+        if nearly and ordered[count - 1] >= LEAST_GAP * ordered[count]:
             found[order[:count]] = True
             break
     return found

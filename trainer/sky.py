@@ -86,8 +86,9 @@ LEAST_BLUE, LEAST_BRIGHT = 0.02, 0.7
 
 AROUND, ROUNDS, LEAST_AROUND_ONE, LEAST_AROUND = 12, 12, 0.3, 0.6
 """Neighbours of a cell, how often is looked for more, and the share of them that has to be far, for cells of
-one photo and others. Of the cells so added 2 of 154 have a wrong colour on `demo sky 40` (chosen), 10 of 305
-on `biker sky 30` and 46 of 378, at the misty horizon, on `guitar sky 24` (judged)."""
+one photo and others. With a fourth of the cells and half the rounds 2 of 154 so added had a wrong colour on
+`demo sky 40` (chosen), 10 of 305 on `biker sky 30` and 46 of 378, at the misty horizon, on `guitar sky 24`
+(judged)."""
 
 NEARER, LEAST_COMPARED = (1.5, 2.0, 3.0, 4.0), 12
 """Distances at which photos are compared too, in median depths of the points, and cells at least."""
@@ -161,11 +162,6 @@ class SkyEvidence(NamedTuple):
         if self.left > MOST_LEFT:
             return f"{found}, about as well as nearer, but in the colours of a sky"
         return f"{found}, {1 / max(self.left, 0.01):.1f} times better than nearer"
-
-
-def spacing_of(count: int) -> float:
-    """Radians between neighbours of so many over the whole sphere."""
-    return math.sqrt(4 * math.pi / count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,6 +282,11 @@ def sphere(count: int) -> np.ndarray:
     angle = np.pi * (3 - math.sqrt(5)) * i
     across = np.sqrt(1 - z * z)
     return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
+
+
+def spacing_of(count: int) -> float:
+    """Radians between neighbours of so many over the whole sphere."""
+    return math.sqrt(4 * math.pi / count)
 
 
 @dataclass(frozen=True, eq=False)

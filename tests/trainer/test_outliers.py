@@ -108,7 +108,7 @@ def test_what_is_the_same_all_over_is_not_known() -> None:
 def test_photos_far_below_the_others_disagree() -> None:
     lacking = np.full(12, 0.1)
     lacking[3] = max(LEAST_RATIO * 0.1, 0.1 + LEAST_DIFFERENCE) + 0.01
-    lacking[4] = 0.1 + LEAST_DIFFERENCE - 0.09  # too little of a difference
+    lacking[4] = LEAST_RATIO * 0.1 - 0.01  # too little of a ratio, or of a difference
     lacking[5] = np.nan
     assert np.flatnonzero(disagreeing(1 - lacking)).tolist() == [3]
     assert not disagreeing(np.full(9, np.nan)).any()

@@ -23,7 +23,7 @@ from splatview.trainer.exposure import measured_evidence
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import TrainSettings, from_recorded, recorded
 from splatview.trainer.setup import kernel_threads_only, settings_for, trainer_for
-from splatview.trainer.sky import FIXED, TRAINED, Sky, find_sky, sphere
+from splatview.trainer.sky import FIXED, TRAINED, Sky, find_sky, nearest, sphere
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
 
@@ -293,3 +293,10 @@ def test_exposures_are_judged_without_the_sky(open_air: Capture) -> None:
     trainer.exposures.is_due = lambda progress, rounds: not trainer.exposures.is_decided  # pyright: ignore
     trainer.step()
     assert trainer.exposures.evidence == expected
+
+
+@pytest.mark.parametrize("count", [30, 2000])
+def test_the_nearest_direction_is_that_of_all(count: int) -> None:
+    known, asked = sphere(count), np.random.default_rng(0).normal(size=(5000, 3))
+    asked = np.concatenate([asked / np.linalg.norm(asked, axis=1, keepdims=True), [[0, 0, 1], [0, 0, -1]]])
+    np.testing.assert_array_equal(nearest(known, asked), (asked @ known.T).argmax(axis=1))

@@ -345,6 +345,8 @@ def bench_capture(name: str, data: Path, made: Path, smaller: int = 1) -> Captur
         whole = load_capture(data / "captures" / real.folder, downscale=real.downscale * smaller)
         return part_of(whole, real.photos, real.spread)
     if name in PUBLIC:
+        if not (made / name / "whole").exists():
+            raise SystemExit(f"{name}: {made / name} has no posed photos: see public_captures.py")
         return load_capture(made / name, downscale=PUBLIC[name].downscale * smaller)
     return load_capture(folder_of(name, made), downscale=smaller)
 

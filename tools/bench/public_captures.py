@@ -141,9 +141,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("clones", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("names", nargs="*", choices=[*PUBLIC, []], default=list(PUBLIC))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(PUBLIC)} (default: all)")
     options = parser.parse_args()
-    for name in options.names:
+    if unknown := [name for name in options.names if name not in PUBLIC]:
+        parser.error(f"no capture {unknown[0]!r}: there are {', '.join(PUBLIC)}")
+    for name in options.names or PUBLIC:
         folder, capture = options.out / name, PUBLIC[name]
         if (folder / "whole").exists():
             continue
