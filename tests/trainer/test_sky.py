@@ -138,14 +138,14 @@ def over_ground(even: tuple[float, float, float]) -> Paint:
 
 
 def test_what_is_as_even_as_a_wall_is_a_sky_where_it_is_bright_and_blue() -> None:
-    bright, warm, dark = (
+    bright, warm, dark, cool = (
         found(capture_of(over_ground(even)))
-        for even in ((0.8, 0.88, 0.97), (0.97, 0.9, 0.8), (0.12, 0.16, 0.2))
+        for even in ((0.8, 0.88, 0.97), (0.97, 0.9, 0.8), (0.12, 0.16, 0.2), (0.88, 0.9, 0.91))
     )
-    for sky in (bright, warm, dark):
+    for sky in (bright, warm, dark, cool):
         assert 0.7 < sky.evidence.left < 1.25 and sky.evidence.share > 0.3
     assert bright.count > 0 and "but in the colours of a sky" in str(bright.evidence)
-    assert warm.count == 0 and dark.count == 0 and "plain wall" in str(warm.evidence)
+    assert warm.count == dark.count == cool.count == 0 and "plain wall" in str(warm.evidence)
     # Overexposed: nothing is left of its colours, and nothing is known.
     white = found(capture_of(lambda eye, d: np.where(d[:, 1:2] > 0, ground(eye, d), np.ones((len(d), 3)))))
     assert white.evidence.left == np.inf and white.count == 0
