@@ -15,7 +15,7 @@ from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.adam_kernels import REST_DIVISOR, Rates
-from splatview.trainer.free_space import FREE_SPACE, LEAST_SHOWN, LEAST_VISIBILITY
+from splatview.trainer.free_space import FREE_SPACE, LEAST_SHOWN, LEAST_VISIBILITY, MOST_OF_ONE
 from splatview.trainer.loss import SSIM_WEIGHT
 from splatview.trainer.strategies import STRATEGIES, StrategySettings
 from splatview.trainer.strategies.mcmc import LEAST_REG
@@ -241,6 +241,10 @@ class TrainSettings(StrategySettings):
     least_visibility: float = LEAST_VISIBILITY
     """Share of what a splat would contribute to the photos with nothing before it, that it must contribute,
     or it goes too; 0: what hides behind others may stay. See `free_space`."""
+    most_of_one: float = MOST_OF_ONE
+    """Share of a splat's contributions to all photos, of which one photo may have more only where nothing
+    that others show is behind it: else it goes as the run ends, unless the photos are met so well that
+    nothing has to stand for missing ones (`full_reg_loss`); 1: all may stay. See `free_space`."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -273,6 +277,8 @@ class TrainSettings(StrategySettings):
         for name in ("least_shown", "least_visibility"):
             if not 0 <= getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 0 and below 1, got {getattr(self, name)}")
+        if not 0.5 <= self.most_of_one <= 1:
+            raise ValueError(f"most_of_one must be 0.5 to 1, got {self.most_of_one}")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"dropout must be at least 0 and below 1, got {self.dropout}")
         if self.strategy not in STRATEGIES:
@@ -333,6 +339,7 @@ WITHOUT_WORD = {
     "free_space": 0.0,
     "least_shown": 0.0,
     "least_visibility": 0.0,
+    "most_of_one": 1.0,
 }
 """Fields that older checkpoints do not have, as their runs went."""
 

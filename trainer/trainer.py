@@ -20,7 +20,7 @@ from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
-from splatview.trainer.free_space import GONE, standing_before, worth_keeping
+from splatview.trainer.free_space import GONE, passing, standing_before, worth_keeping
 from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
 from splatview.trainer.initialisation import comments_for
 from splatview.trainer.outliers import Outliers
@@ -242,6 +242,7 @@ class Trainer:
             restore(splats.arrays, self.state, held)
             self._cut()
             self._drop_unseen(progress)
+            self._drop_passing()
         self._note_loss(loss)
         if seconds is None:
             counters.seconds += time.perf_counter() - begun
@@ -470,6 +471,22 @@ class Trainer:
             if kept.any():
                 self._keep(kept)
         self.state["unseen_dropped"] = int(ended)
+
+    def _drop_passing(self) -> None:
+        """Takes out what one photo alone shows before what others do, at the end of the run; but for the sky.
+        Until then it explains what no other splat should. See `free_space`."""
+        settings = self.settings
+        if self.done and settings.most_of_one < 1 and self.need_of_reg == 1:
+            wrong = passing(
+                self.splats.snapshot(),
+                self.views.taken,
+                self.render_settings,
+                most_of_one=settings.most_of_one,
+                stays=self.state["sky"] > 0 if "sky" in self.state else None,
+                threads=self.threads,
+            )
+            if wrong.any():
+                self._keep(~wrong)
 
     def _cut(self) -> None:
         """Takes out what has come to where the recipe cuts, now and then."""

@@ -11,7 +11,7 @@ import pytest
 from splatview.raster import Parameters
 from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
-from splatview.trainer.free_space import GONE, nearest_depths, standing_before, worth_keeping
+from splatview.trainer.free_space import GONE, nearest_depths, passing, standing_before, worth_keeping
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for, trainer_for
 from splatview.trainer.trainer import CLEAR_STEPS, Trainer
@@ -162,3 +162,48 @@ def test_what_is_in_the_sky_stays(views: list[TrainView], start: Parameters, mak
     numbers = trainer.splats.ids[-4:].copy()
     trainer.step()
     assert np.isin(numbers, trainer.splats.ids).tolist()[:2] == [False, True], "the faint one goes"
+
+
+def with_a_branch(start: Parameters, view: TrainView) -> Parameters:
+    """The start behind one splat right before a camera, which no other shows, and a wall behind all that."""
+    scene = Parameters(*(np.concatenate([array, array[:2]]) for array in start))
+    scene.means[-2:] = before(view, 0.3), before(view, 3.5)
+    scene.log_scales[-2:] = np.log([[0.02], [0.6]])
+    scene.opacity_logits[-2:] = 3.0, 12.0
+    return scene
+
+
+def test_what_one_photo_alone_shows_before_what_others_do(
+    views: list[TrainView], start: Parameters, make_trainer
+) -> None:
+    views = views[:4]  # the far side of the ring shows the branch, too
+    scene = with_a_branch(start, views[0])
+    trainer = Trainer(TrainViews(views, 0), scene, 3.0, make_trainer().settings)
+    given = trainer.snapshot(), views, trainer.render_settings
+    found = passing(*given)
+    assert found[-2], "the branch"
+    assert not found[-1], "the wall, which several photos show"
+    stays = np.zeros(len(found), np.bool_)
+    stays[-2] = True
+    assert not passing(*given, stays=stays)[-2]
+    assert not passing(*given, most_of_one=1.0).any()
+    assert not passing(given[0], views[:1], given[2]).any(), "of one photo nothing is known"
+    scene.opacity_logits[-1] = -3.0  # no longer a wall: the branch is all there is
+    for_itself = Trainer(TrainViews(views, 0), scene, 3.0, make_trainer().settings).snapshot()
+    assert not passing(for_itself, *given[1:])[-2], "it hangs before nothing"
+
+
+@pytest.mark.parametrize(("share", "full"), [(0.95, 0.0), (1.0, 0.0), (0.95, 1e3)])
+def test_it_goes_as_the_run_ends(
+    views: list[TrainView], start: Parameters, make_trainer, share: float, full: float
+) -> None:
+    settings = make_trainer(iterations=3).settings
+    settings = replace(settings, most_of_one=share, full_reg_loss=full, free_space=0.0, least_shown=0.0)
+    trainer = Trainer(TrainViews(views[:4], 0), with_a_branch(start, views[0]), 3.0, settings)
+    branch = trainer.splats.ids[-2]
+    for _ in range(2):
+        trainer.step()
+        assert branch in trainer.splats.ids
+    trainer.step()
+    goes = share < 1 and full == 0  # photos met within a loss of 1,000 need no guesses
+    assert (branch in trainer.splats.ids) != goes

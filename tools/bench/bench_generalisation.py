@@ -1,14 +1,15 @@
 """Held-out PSNR over many captures, with thirds of the photos held out in turn, at 1, 3 and 10 minutes.
 
     python tools/bench/bench_generalisation.py DATA MADE --checkout NAME=PATH ... [--captures NAME ...]
-        [--minutes 1 3 10] [--splits 0 1 2] [--seeds 0 1 2] [--set NAME:FIELD=JSON ...]
+        [--minutes 1 3 10] [--splits 0 1 2] [--seeds 0 1 2] [--set NAME:FIELD=JSON ...] [--passing]
 
 DATA holds `captures` and `scenes`, MADE receives the rendered captures (see `capture_set`), and holds those
 that `public_captures` has posed. Every run is a
 process of a checkout with its own .venv; a minute is that of `generalisation_run.step_seconds`, so that runs
 beside one another, or on a busy machine, end in the same figures. What a call has measured before is kept in
 assets/benchmarks/generalisation.json, and only what is missing is run: the whole takes many hours.
-`--set` gives a checkout's runs settings of their own: a rule is tried before it is made.
+`--set` gives a checkout's runs settings of their own: a rule is tried before it is made. With `--passing`
+(and an output of its own) something passes before the scene in a fifth of the photos trained on.
 
 Seeds are for captures of few photos far apart, where chance makes more than what is looked for: three runs of
 a split of `miku 12 far` score between 18.7 and 20.6 dB.
@@ -83,12 +84,14 @@ def score(run: dict[str, Any]) -> float:
     return run["psnr_fitted" if run["capture"] in DRIFTING else "psnr_plain"]
 
 
-def run_one(checkout: Path, key: Key, data: Path, made: Path, fields: list[str]) -> dict[str, Any]:
-    """One run's figures. Raises SystemExit where it fails."""
+def run_one(
+    checkout: Path, key: Key, data: Path, made: Path, fields: list[str], *more: str
+) -> dict[str, Any]:
+    """One run's figures. `more`: arguments. Raises SystemExit where it fails."""
     name, capture, split, minutes, seed = key
     fields = [*fields, f"seed={seed}"] if seed else fields
     command = [str(checkout / ".venv" / "bin" / "python"), str(RUN), capture, str(data), str(made)]
-    command += ["--split", str(split), "--minutes", str(minutes)]
+    command += ["--split", str(split), "--minutes", str(minutes), *more]
     command += ["--set", *fields] if fields else []
     # Its own folder: `splatview` of the checkout must not be hidden by this one.
     done = subprocess.run(command, check=False, cwd=checkout, capture_output=True, text=True)
@@ -214,6 +217,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME:FIELD=JSON")
     parser.add_argument(
+        "--passing", action="store_true", help="something passes before a fifth of the photos"
+    )
+    parser.add_argument(
         "--by-marks",
         action="store_true",
         help="several checkouts below one another, and how they fare in time",
@@ -229,8 +235,9 @@ def main() -> None:
         if key in runs:
             continue
         fields = [f.split(":", 1)[1] for f in options.set if f.startswith(f"{name}:")]
+        more = ["--passing"] if options.passing else []
         runs[key] = same_run(runs, key) or run_one(
-            Path(path).resolve(), key, options.data.resolve(), options.made.resolve(), fields
+            Path(path).resolve(), key, options.data.resolve(), options.made.resolve(), fields, *more
         )
         # Another call may have been at other captures meanwhile.
         runs = known_runs(options.output) | runs

@@ -389,6 +389,52 @@ def with_fault(capture: Capture, fault: Fault, seed: int) -> tuple[Capture, list
     return replace(capture, photos=tuple(photos)), [photos[row].name for row in wrong]
 
 
+PASSING_SHARE = 0.2
+"""Share of the photos trained on that something passes before."""
+
+
+def with_passing(capture: Capture, seed: int) -> Capture:
+    """The capture with a spot before the scene in some of the photos trained on, in each another: a sixth to
+    two fifths as wide as the photo, half to four fifths as high, of a mottled colour."""
+    rng = np.random.default_rng(seed)
+    names = [photo.name for photo in capture.train]
+    picked = set(rng.choice(names, max(1, round(PASSING_SHARE * len(names))), replace=False))
+    photos = [
+        replace(photo, pixels=spotted(photo.pixels, int(rng.integers(1 << 30))))
+        if photo.name in picked
+        else photo
+        for photo in capture.photos
+    ]
+    return replace(capture, photos=tuple(photos))
+
+
+def spotted(pixels: Callable[[], Pixels], seed: int) -> Callable[[], Pixels]:
+    """The photo's pixels with a spot on them."""
+
+    def draw() -> Pixels:
+        found, rng = pixels(), np.random.default_rng(seed)
+        image = np.array(found.image)
+        height, width = image.shape[:2]
+
+        def clouds(cells: int) -> np.ndarray:
+            cell = max(height // cells, 2)
+            small = rng.normal(size=(max(height // cell, 2), max(width // cell, 2))).astype(np.float32)
+            return np.asarray(Image.fromarray(small).resize((width, height), Image.Resampling.BICUBIC))
+
+        y, x = np.mgrid[:height, :width]
+        middle, radius = (
+            (rng.uniform(0.2, 0.8), rng.uniform(0.3, 0.9)),
+            (rng.uniform(0.08, 0.2), rng.uniform(0.2, 0.4)),
+        )
+        across, down = (x / width - middle[0]) / radius[0], (y / height - middle[1]) / radius[1]
+        inside = across**2 + down**2 + 0.25 * clouds(8) < 1
+        mottled = rng.uniform(20, 200, 3) + 30 * np.stack([clouds(20) for _ in range(3)], axis=-1)
+        image[inside, :3] = np.clip(mottled, 0, 255)[inside]
+        return replace(found, image=image)
+
+    return draw
+
+
 def folder_of(name: str, made: Path) -> Path:
     return made / name.replace(" ", "-").lower()
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from capture_set import RENDERED, bench_capture, folder_of, split_of, with_fault
+from capture_set import RENDERED, bench_capture, folder_of, split_of, with_fault, with_passing
 from PIL import Image
 
 STEP_MS, KILOPIXEL_MS, THOUSAND_SPLATS_MS = 1.0, 0.2, 0.35
@@ -132,6 +132,9 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--fault", help="one of capture_set.FAULTS: a tenth of the poses are wrong")
     parser.add_argument("--repaired", action="store_true", help="without the photos of these poses")
+    parser.add_argument(
+        "--passing", action="store_true", help="something passes before a fifth of the photos"
+    )
     parser.add_argument("--until", type=float, default=1.0, help="share of the run after which it ends")
     parser.add_argument("--smaller", type=int, default=1, help="factor of the photos, to try rules quickly")
     parser.add_argument("--threads", type=int, default=1)
@@ -155,6 +158,8 @@ def main() -> None:
         capture, wrong = with_fault(capture, options.fault, options.split)
     if options.repaired:
         capture = replace(capture, photos=tuple(p for p in capture.photos if p.name not in wrong))
+    if options.passing:
+        capture = with_passing(capture, options.split)
     centre = capture.centre
     capture = capture.about(centre)
     views, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
