@@ -74,7 +74,7 @@ MOST_OF_ONE = 0.95
 """See `TrainSettings.most_of_one`."""
 
 LEAST_BEHIND = 0.97
-"""Opacity of all else, behind the middle of such a splat, from which on it stands before what others show."""
+"""Opacity of all else where such a splat is, from which on it stands before what others show."""
 
 COUNTED_PIXELS = 60_000
 """Of photos that are looked at for that: of larger ones a smaller picture tells."""
@@ -163,12 +163,13 @@ def passing(
     wrong = np.zeros(len(scene), np.bool_)
     for row, camera in enumerate(cameras):
         its = np.flatnonzero(alone & (of == row))
-        local = _local(parameters.means[its], camera)
-        its, local = (array[_is_inside(local, camera)] for array in (its, local))
         if len(its):
             behind = draw_frame(others, camera, colourless, workspace, threads=threads).image[..., 3]
-            x, y = camera.image_points(local).astype(np.int64).T
-            wrong[its] = behind[y, x] >= LEAST_BEHIND
+            # Of what reaches into the picture from beside it, the nearest place in the picture tells.
+            places = camera.image_points(_local(parameters.means[its], camera))
+            known = np.isfinite(places).all(axis=1)
+            x, y = np.clip(places[known], 0, (camera.width - 1, camera.height - 1)).astype(np.int64).T
+            wrong[its[known]] = behind[y, x] >= LEAST_BEHIND
     return wrong
 
 

@@ -164,20 +164,22 @@ def test_what_is_in_the_sky_stays(views: list[TrainView], start: Parameters, mak
     assert np.isin(numbers, trainer.splats.ids).tolist()[:2] == [False, True], "the faint one goes"
 
 
-def with_a_branch(start: Parameters, view: TrainView) -> Parameters:
+def with_a_branch(start: Parameters, view: TrainView, aside: float = 0.0) -> Parameters:
     """The start behind one splat right before a camera, which no other shows, and a wall behind all that."""
     scene = Parameters(*(np.concatenate([array, array[:2]]) for array in start))
-    scene.means[-2:] = before(view, 0.3), before(view, 3.5)
-    scene.log_scales[-2:] = np.log([[0.02], [0.6]])
+    scene.means[-2:] = before(view, 0.3, aside), before(view, 3.5, aside)
+    scene.log_scales[-2:] = np.log([[0.02], [1.2]])
     scene.opacity_logits[-2:] = 3.0, 12.0
     return scene
 
 
+@pytest.mark.parametrize("aside", [0.0, 1.05])
 def test_what_one_photo_alone_shows_before_what_others_do(
-    views: list[TrainView], start: Parameters, make_trainer
+    views: list[TrainView], start: Parameters, make_trainer, aside: float
 ) -> None:
+    """Beside the picture, too, into which it reaches."""
     views = views[:4]  # the far side of the ring shows the branch, too
-    scene = with_a_branch(start, views[0])
+    scene = with_a_branch(start, views[0], aside)
     trainer = Trainer(TrainViews(views, 0), scene, 3.0, make_trainer().settings)
     given = trainer.snapshot(), views, trainer.render_settings
     found = passing(*given)
