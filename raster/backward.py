@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from splatview.raster.blocks import MEMBERS, exp2_by
+from splatview.raster.blocks import MEMBERS, exp2_by, exp2_constants
 from splatview.raster.compiling import inline, kernel
 from splatview.raster.forward import (
     BLOCKS,
@@ -75,11 +75,14 @@ from splatview.raster.simd import (
     store,
     sum_lanes,
 )
-from splatview.raster.tiles import AHEAD
 
 T, TU, TUX, TUY, TV, TVY, ABS_X, ABS_Y, D_RED, D_GREEN, D_BLUE = range(11)
 SUMS = 16
 """Numbers per row of sums; the last five are 0."""
+
+AHEAD = 8
+"""Splats by which memory is prefetched, where splats are taken in depth order: that is any order in memory,
+and the processor cannot guess ahead where loops are as short as here."""
 
 PIXEL_VECTORS = 6
 """Vectors per strip and block: transmittance, S, the loss's gradient by red, green and blue, and S behind
@@ -177,7 +180,7 @@ def differentiate(
             dy = load_block(centres, (2 * place + 1) * BLOCK_LANES) - y_mean
             u, v = fma(b, dy, a * dx), c * dy
             power = fma(negate(u), u, fma(negate(v), v, log2_opacity))
-            uncapped = exp2_by(centres, EXPONENTS, power)
+            uncapped = exp2_by(exp2_constants(centres, EXPONENTS), power)
             alpha = keep_if_at_least(minimum(uncapped, cap), power, cut)
 
             base = place * PIXEL_VECTORS * BLOCK_LANES

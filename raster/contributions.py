@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from splatview.raster.blocks import MEMBERS, exp2_by
+from splatview.raster.blocks import MEMBERS, exp2_by, exp2_constants
 from splatview.raster.camera_models import make_optics
 from splatview.raster.compiling import TASKS_PER_THREAD, available_threads, inline, kernel, run
 from splatview.raster.edits import edit_arrays
@@ -201,13 +201,14 @@ def contribution_chunk(
     the largest contribution so far takes the place of red, and its splat's place in the tile's list that of
     green; the first gathered splat is at `place`. items and firsts as `list_items` made them; scratch
     (LANES,) is room to work in."""
+    constants = exp2_constants(centres, EXPONENTS)
     for j in range(count):
         cut = spread_block(gathered[G_CUT * CHUNK + j])
         cap, here, total = fill(cut, max_alpha), fill(cut, place + j), fill(cut, 0.0)
         for n in range(np.int64(firsts[j]), np.int64(firsts[j + 1])):
             block = np.int64(items[n]) & (STRIPS * BLOCKS - 1)
             power = exponent_at(gathered, centres, j, block, surfels)
-            alpha = keep_if_at_least(minimum(exp2_by(centres, EXPONENTS, power), cap), power, cut)
+            alpha = keep_if_at_least(minimum(exp2_by(constants, power), cap), power, cut)
             base = block * 4 * BLOCK_LANES
             transmittance, most = load_block(pixels, base), load_block(pixels, base + BLOCK_LANES)
             contribution = alpha * transmittance

@@ -25,6 +25,7 @@ from splatview.raster.blocks import (
     MEMBERS,
     count_bits,
     exp2_by,
+    exp2_constants,
     lowest_bit,
     no_bits,
     place_exp2_constants,
@@ -373,14 +374,13 @@ def exponent_at(gathered, centres, j, place, surfels):
 @inline
 def blend_items(items, total, gathered, centres, max_alpha, pixels, surfels):
     """Blends gathered splats over the pixels of a tile: `items` as `list_items` made them, in their order."""
+    constants = exp2_constants(centres, EXPONENTS)
     for n in range(total):
         item = np.int64(items[n])  # as bits, which tell the compiler that no index is negative
         j, place = (item >> PLACE_BITS) & (CHUNK - 1), item & (STRIPS * BLOCKS - 1)
         power = exponent_at(gathered, centres, j, place, surfels)
         cut = spread_block(gathered[G_CUT * CHUNK + j])
-        alpha = keep_if_at_least(
-            minimum(exp2_by(centres, EXPONENTS, power), fill(power, max_alpha)), power, cut
-        )
+        alpha = keep_if_at_least(minimum(exp2_by(constants, power), fill(power, max_alpha)), power, cut)
         base = place * 4 * BLOCK_LANES
         transmittance = load_block(pixels, base)
         weight = alpha * transmittance

@@ -21,7 +21,7 @@ from splatview.raster.project import RECORD, project
 from splatview.raster.simd import BLOCK_LANES
 from splatview.raster.sort import Workspace, sorted_by_depth
 from splatview.raster.surfels import SURFEL, SurfelArrays, SurfelModel, make_surfels
-from splatview.raster.tiles import SPARE, count_pairs, count_spans, find_spans, place_lists, write_pairs
+from splatview.raster.tiles import SPARE, find_rows, find_spans, place_lists, sum_rows, write_pairs
 from splatview.scene import Camera, Gaussians, RenderSettings
 
 TILE_COST = 16
@@ -76,12 +76,12 @@ class Bins:
         first, end = band
         base = int(self.offsets[first])
         lists = workspace.take("lists", (int(self.offsets[end]) - base,), np.int32)
-        cursors = workspace.take("cursors", self.positions.shape, np.int64)
-        cursors[:] = self.positions
+        cursors = workspace.take("cursors", self.positions.shape, np.int32)
+        np.subtract(self.positions, base, out=cursors, casting="unsafe")  # those of other bands mean nothing
         run(
             write_pairs,
             [(*piece, row) for piece, row in zip(self.pieces, cursors, strict=True)],
-            (self.order, self.runs, self.spans, first, end, base, lists),
+            (self.order, self.runs, self.spans, first, end, lists),
             self.threads,
         )
         return lists
@@ -254,7 +254,8 @@ def arrange(
         records = workspace.take("records", (count, RECORD), dtype)
         depths = workspace.take("depths", (count,), np.float64)
         visible = workspace.take("visible", (count,), np.int32)
-        bounds = np.empty((len(pieces), 4))
+        rows_of = workspace.take("rows_of", (count,), np.uint16)
+        bounds = np.empty((len(pieces), 3))
         footprints = own_degrees = None
         if surfels is not None:
             footprints = SurfelArrays(workspace.take("surfels", (count, SURFEL), dtype), *surfels)
@@ -263,7 +264,19 @@ def arrange(
         found = run(
             project,
             [(*piece, row) for piece, row in zip(pieces, bounds, strict=True)],
-            (*splats, sh_degree, view, optics, records, depths, visible, edits, footprints, own_degrees),
+            (
+                *splats,
+                sh_degree,
+                view,
+                optics,
+                records,
+                depths,
+                visible,
+                edits,
+                footprints,
+                own_degrees,
+                rows_of,
+            ),
             threads,
         )
         if min(found) < 0:
@@ -271,18 +284,15 @@ def arrange(
         runs = [(start, start + number) for (start, _), number in zip(pieces, found, strict=True)]
         if repaint is not None:
             repaint(records, depths, visible, runs)
-            rows = run(count_spans, runs, (visible, records, view), threads)
-        else:
-            rows = bounds[:, 3].astype(np.int64).tolist()
+            run(find_rows, runs, (visible, records, view, rows_of), threads)
     with clock.stage("sort"):
         if order_of is None:
-            order = workspace.take("order", (sum(found),), np.int32)
             span = float(bounds[:, 0].min()), float(bounds[:, 1].max())
-            order = sorted_by_depth(visible, runs, depths, span, key_bits, order, workspace, threads)
+            order = sorted_by_depth(visible, runs, depths, span, key_bits, workspace, threads)
         else:
             order = order_of(visible, runs)
     with clock.stage("bin"):
-        bins = _bin(order, runs, rows, visible, records, view, workspace, threads)
+        bins = _bin(order, rows_of, records, view, workspace, threads)
     return Arrangement(
         records=records,
         depths=depths,
@@ -297,38 +307,32 @@ def arrange(
 
 def _bin(
     order: np.ndarray,
-    runs: Runs,
-    rows: list[int],
-    visible: np.ndarray,
+    rows_of: np.ndarray,
     records: np.ndarray,
     view: View,
     workspace: Workspace,
     threads: int,
 ) -> Bins:
-    rows = [count + SPARE for count in rows]
-    ends = np.cumsum(rows).tolist()
-    spans = workspace.take("spans", (ends[-1], 2), np.int32)
-    spans_of = workspace.take("spans_of", (len(records), 2), np.int32)
-    run(
-        find_spans,
-        [(*piece, end - count) for piece, end, count in zip(runs, ends, rows, strict=True)],
-        (visible, records, view, spans, spans_of),
-        threads,
-    )
-    tiles, runs_of = view.tiles_x * view.tiles_y, workspace.take("runs", (len(order), 2), np.int32)
     pieces = even_ranges(len(order), threads * TASKS_PER_THREAD, step=SPLATS_PER_TASK)
+    rows = [count + SPARE for count in run(sum_rows, pieces, (order, rows_of), threads)]
+    ends = np.cumsum(rows).tolist()
+    spans = workspace.take("spans", (ends[-1] if ends else 0, 2), np.int32)
+    tiles, runs = view.tiles_x * view.tiles_y, workspace.take("runs", (len(order), 2), np.int32)
     positions = workspace.take("positions", (len(pieces), tiles), np.int64)
     offsets = workspace.take("offsets", (tiles + 1,), np.int64)
     run(
-        count_pairs,
-        [(*piece, row) for piece, row in zip(pieces, positions, strict=True)],
-        (order, spans_of, spans, runs_of),
+        find_spans,
+        [
+            (*piece, end - count, row)
+            for piece, end, count, row in zip(pieces, ends, rows, positions, strict=True)
+        ],
+        (order, records, view, spans, runs),
         threads,
     )
     place_lists(positions, offsets)
     return Bins(
         order=order,
-        runs=runs_of,
+        runs=runs,
         spans=spans,
         pieces=pieces,
         positions=positions,

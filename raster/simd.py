@@ -46,6 +46,9 @@ BLOCK_WIDTH, BLOCK_HEIGHT = 8 if _has_wide_registers() else 4, 2
 
 BLOCK_LANES = BLOCK_WIDTH * BLOCK_HEIGHT
 
+PART_LANES = 8 if _has_wide_registers() else 4
+"""Numbers of float64 in a register: long formulas keep what they need in registers so."""
+
 CACHE_LINE = 64
 """Bytes."""
 
@@ -265,7 +268,7 @@ def _load_of(lanes: int) -> Any:
     return intrinsic(load)
 
 
-_load, _load_block = _load_of(LANES), _load_of(BLOCK_LANES)
+_load, _load_block, _load_part = _load_of(LANES), _load_of(BLOCK_LANES), _load_of(PART_LANES)
 
 
 @intrinsic
@@ -293,13 +296,15 @@ def _store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def _store_int(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
-    if not (is_flat(array) and array.dtype == types.int32 and isinstance(value, Vector)):
+    if not (is_flat(array) and isinstance(array.dtype, types.Integer) and isinstance(value, Vector)):
         return None
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        ints = ir.VectorType(ir.IntType(32), LANES)
-        address = address_of(context, builder, array, args[0], args[1], ints)
-        builder.store(builder.fptosi(args[2], ints), address, align=4)
+        width = array.dtype.bitwidth
+        ints, stored = (ir.VectorType(ir.IntType(bits), LANES) for bits in (32, width))
+        address = address_of(context, builder, array, args[0], args[1], stored)
+        numbers = builder.fptosi(args[2], ints)
+        builder.store(builder.trunc(numbers, stored) if width < 32 else numbers, address, align=width // 8)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, value), codegen
@@ -345,6 +350,14 @@ def load_block(array, index):
 
 
 @inline
+def load_part(array, index):
+    """The same of PART_LANES floats."""
+    if BOUNDSCHECK:
+        check_bounds(array, index, PART_LANES)
+    return _load_part(array, index)
+
+
+@inline
 def store(array, index, value):
     """Writes a vector to a flat array of its element type from `index` on."""
     if BOUNDSCHECK:
@@ -354,7 +367,8 @@ def store(array, index, value):
 
 @inline
 def store_int(array, index, value):
-    """Writes a vector, rounded towards zero, to a flat int32 array. The values must fit."""
+    """Writes a vector, rounded towards zero, to a flat array of integers of up to 32 bits. The values must
+    fit."""
     if BOUNDSCHECK:
         check_bounds(array, index, LANES)
     _store_int(array, index, value)
@@ -374,6 +388,16 @@ def store_same(array, index, value):
     if BOUNDSCHECK:
         check_bounds(array, index, LANES)
     _store_same(array, index, value)
+
+
+@inline
+def lane_sum(vector, room):
+    """The sum of the lanes; `room` (LANES or more,) in their dtype is overwritten."""
+    store(room, 0, vector)
+    total = room[0]
+    for lane in range(1, LANES):
+        total += room[lane]
+    return total
 
 
 @inline

@@ -15,7 +15,6 @@ from __future__ import annotations
 import numpy as np
 
 from splatview.raster.compiling import inline, kernel
-from splatview.raster.project import lane_sum
 from splatview.raster.simd import (
     LANES,
     absolute,
@@ -24,6 +23,7 @@ from splatview.raster.simd import (
     fill,
     fma,
     keep_if_below,
+    lane_sum,
     load,
     negate,
     spread,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from splatview.raster import Workspace
-from splatview.raster.sort import radix_sort
+from splatview.raster.sort import keyed_values, radix_sort
 from splatview.scene import Camera
 from splatview.scene.edits import PALETTE_SHIFT, SceneEdits
 
@@ -72,7 +72,8 @@ def depth_order(means: np.ndarray, view: ViewLine, workspace: Workspace) -> Dept
     # Bits of floats from 0 up rise with the float; a set sign bit puts all behind the eye after them.
     keys = depths.view(np.uint32)
     before_eye = int(np.count_nonzero(depths >= 0))
-    _, order = radix_sort(keys, np.arange(len(means), dtype=np.int32), KEY_BITS, 1, workspace)
+    keyed = keyed_values(keys, np.arange(len(means)))
+    order = radix_sort(keyed, KEY_BITS, 1, workspace)
     return DepthOrder(
         view=view,
         order=order.copy(),  # the workspace is used again

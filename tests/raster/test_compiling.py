@@ -36,7 +36,7 @@ from splatview import raster
 from splatview.raster.sort import make_keys
 def draw_frame(*_, **__):
     numbers = np.zeros(1, np.int32)
-    make_keys(0, 0, 0, numbers, np.zeros(1, np.int64), 0, 0, np.zeros(1, np.uint32), numbers)
+    make_keys(0, 0, 0, numbers, np.zeros(1, np.int64), 0, 0, np.zeros(1, np.uint64))
     return SimpleNamespace(image=None, milliseconds={})
 raster.draw_frame = draw_frame
 """

@@ -21,7 +21,7 @@ def exponentials(numbers, out):
 @inline
 def exponentials_of_blocks(numbers, constants, out):
     blocks.place_exp2_constants(constants, 0)
-    simd.store(out, 0, blocks.exp2_by(constants, 0, simd.load_block(numbers, 0)))
+    simd.store(out, 0, blocks.exp2_by(blocks.exp2_constants(constants, 0), simd.load_block(numbers, 0)))
 
 
 @inline

@@ -16,7 +16,7 @@ from harness import in_turn, make_parser
 
 from splatview.measure.machine import write_results
 from splatview.raster import Workspace
-from splatview.raster.sort import radix_sort
+from splatview.raster.sort import keyed_values, radix_sort
 from splatview.renderers.gl.context import create_headless_context, describe
 from splatview.renderers.gl.sort import HARDWARE, SOFTWARE, RadixSort, SortTuning
 
@@ -47,8 +47,8 @@ def compare(ctx, count: int, repeats: int, tunings: list[SortTuning]) -> dict[st
         return timed(lambda: (sorter.sort(key_buffer, value_buffer, count_buffer), ctx.finish()))
 
     def numba() -> float:
-        own_keys, own_values = keys.copy(), indices.astype(np.int32)
-        return timed(lambda: radix_sort(own_keys, own_values, 32, 1, workspace))
+        keyed = keyed_values(keys, indices)
+        return timed(lambda: radix_sort(keyed, 32, 1, workspace))
 
     sorters = {tuning: RadixSort(ctx, count, tuning=tuning) for tuning in dict.fromkeys(tunings)}
     ways: dict[str, Callable[[], float]] = {
