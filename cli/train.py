@@ -342,6 +342,12 @@ def make_parser() -> Parser:
         help="leave out photos that disagree with the others, as those of a wrong pose do (default: auto)",
     )
     group.add_argument(
+        "--passing",
+        choices=("auto", "stay"),
+        help="what becomes, as the run ends, of splats that one photo alone shows in front of what others do,"
+        " as somebody passing by (default: auto: they go)",
+    )
+    group.add_argument(
         "--sky",
         choices=("auto", "on", "off"),
         help="far splats for what photos show at infinity (default: auto, where enough of it is above the"

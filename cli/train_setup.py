@@ -34,6 +34,7 @@ from splatview.trainer.distributed import (
     share_of_cores,
 )
 from splatview.trainer.effects import capture_effects, with_exposure, with_outliers, with_sky_found
+from splatview.trainer.free_space import MOST_OF_ONE
 from splatview.trainer.memory import (
     Bound,
     Machine,
@@ -76,6 +77,7 @@ OF_THE_CHECKPOINT = [
     "start",
     "exposure",
     "outliers",
+    "passing",
     "sky",
     "background",
     "antialiased",
@@ -395,6 +397,7 @@ def _new_trainer(
         strategy=strategy,
         exposure=options.exposure or "auto",
         outliers=options.outliers or "auto",
+        most_of_one=1.0 if options.passing == "stay" else MOST_OF_ONE,
         sky=options.sky or "auto",
         absolute_gradient=bool(options.abs_grad),
         threads=cores,

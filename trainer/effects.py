@@ -43,6 +43,8 @@ EXPOSURE = "exposure of each photo"
 
 OUTLIERS = "photos left out"
 
+PASSING = "splats of one photo"
+
 SKY = "sky"
 
 FEW_PHOTOS = "rules for few photos"
@@ -92,6 +94,7 @@ def capture_effects(
         _sh_bands(settings),
         _exposure(settings),
         _outliers(len(capture.train), settings),
+        _passing(settings),
         _masks(capture),
         _lens(capture),
         _antialiased(capture, settings, antialiased),
@@ -133,6 +136,21 @@ def with_outliers(effects: tuple[Effect, ...], outliers: Outliers) -> tuple[Effe
     on = bool(outliers.left_out.any())
     why = outliers.evidence or (f"{outliers.left_out.sum()} photos, as the run began" if on else UNTOLD)
     return tuple(replace(effect, on=on, why=why) if effect.name == OUTLIERS else effect for effect in effects)
+
+
+def with_passing(effects: tuple[Effect, ...], count: int) -> tuple[Effect, ...]:
+    """The same once so many splats of one photo alone have been taken out, as the run ended."""
+    why = f"{count:,} in front of what other photos show were taken out" if count else "none is in front"
+    return tuple(
+        replace(effect, on=count > 0, why=why) if effect.name == PASSING else effect for effect in effects
+    )
+
+
+def _passing(settings: TrainSettings) -> Effect:
+    stay = settings.most_of_one == 1
+    why = "they stay, as asked for" if stay else "as the run ends, in front of what other photos show"
+    saving = Saving(what="a picture of each photo's view, once")
+    return Effect(name=PASSING, on=False, why=why, saving=saving)
 
 
 def _outliers(photos: int, settings: TrainSettings) -> Effect:

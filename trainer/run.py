@@ -32,9 +32,11 @@ from splatview.trainer.effects import (
     EXPOSURE,
     FEW_PHOTOS,
     OUTLIERS,
+    PASSING,
     with_easing,
     with_exposure,
     with_outliers,
+    with_passing,
 )
 from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
 from splatview.trainer.memory import MemoryPlan
@@ -289,6 +291,11 @@ class TrainingRun:
                 self.on_note(f"{OUTLIERS}: {outliers.evidence}; --outliers off trains on them")
             elif disagreeing(outliers.correlations).any():
                 self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check their poses if they look wrong")
+        if self.trainer.passed is not None:
+            self.effects = with_passing(self.effects, self.trainer.passed)
+            if self.trainer.passed:
+                why = next((effect.why for effect in self.effects if effect.name == PASSING), "")
+                self.on_note(f"{PASSING}: {why}; --passing stay leaves them in")
         self._tell_easing()
         evaluation = None
         if self.held_out and self._evaluation_is_due(report.iteration):

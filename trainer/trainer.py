@@ -104,6 +104,8 @@ class Trainer:
         """Photos that have shown no splat, as long as none has; NaN from the first that shows one on: later
         edits and rules may take out of sight what there is."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
+        self.passed: int | None = None
+        """Splats of one photo alone that went as the run ended, see `free_space`; None: nobody has looked."""
         self.outliers = Outliers([view.camera.name for view in views.all], settings.outliers)
         self.resolution = ProgressiveResolution(views)
         """Size of the photos, where the recipe leaves it to evidence."""
@@ -485,7 +487,8 @@ class Trainer:
                 stays=self.state["sky"] > 0 if "sky" in self.state else None,
                 threads=self.threads,
             )
-            if wrong.any():
+            self.passed = int(wrong.sum())
+            if self.passed:
                 self._keep(~wrong)
 
     def _cut(self) -> None:

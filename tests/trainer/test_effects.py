@@ -17,6 +17,7 @@ from splatview.scene.formats import load_scene
 from splatview.trainer.effects import (
     FEW_PHOTOS,
     OUTLIERS,
+    PASSING,
     SCALE_RATIO,
     SKY,
     Antialiased,
@@ -102,6 +103,7 @@ def test_each_effect_names_its_evidence():
         SKY,
         FEW_PHOTOS,
         OUTLIERS,
+        PASSING,
     }
     assert "12.50% of all pixels" in rich["masks"][1]
     assert "3 of 4 photos have a lens that moves points by up to 12.3 px" in rich["lens distortion"][1]
@@ -169,7 +171,9 @@ def test_effects_are_in_the_metrics_and_in_the_scene(make_trainer, views, tmp_pa
     assert training_run.run()
     assert outputs.metrics is not None
     lines = [json.loads(line) for line in outputs.metrics.read_text().splitlines()]
-    assert [("effects" in line, line["iteration"]) for line in lines] == [(True, 50), (False, 100)]
+    assert [("effects" in line, line["iteration"]) for line in lines] == [(True, 50), (True, 100)]
+    ended = {effect["name"]: effect for effect in lines[1]["effects"]}
+    assert not ended[PASSING]["on"] and ended[PASSING]["why"] == "none is in front"
     said = {effect["name"]: effect for effect in lines[0]["effects"]}
     assert said["antialiased opacity"]["on"] is True
     assert "differ in exposure by" in said["exposure of each photo"]["why"]

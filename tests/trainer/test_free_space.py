@@ -10,8 +10,11 @@ import pytest
 
 from splatview.raster import Parameters
 from splatview.scene.captures.capture import Capture, Photo, Pixels
+from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
+from splatview.trainer.effects import PASSING
 from splatview.trainer.free_space import GONE, nearest_depths, passing, standing_before, worth_keeping
+from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for, trainer_for
 from splatview.trainer.trainer import CLEAR_STEPS, Trainer
@@ -209,3 +212,22 @@ def test_it_goes_as_the_run_ends(
     trainer.step()
     goes = share < 1 and full == 0  # photos met within a loss of 1,000 need no guesses
     assert (branch in trainer.splats.ids) != goes
+    assert bool(trainer.passed) == goes
+
+
+def test_a_run_says_how_many_went(views: list[TrainView], start: Parameters, make_trainer, tmp_path) -> None:
+    settings = replace(make_trainer(iterations=2).settings, full_reg_loss=0.0, free_space=0.0)
+    trainer = Trainer(TrainViews(views[:4], 0), with_a_branch(start, views[0]), 3.0, settings)
+    outputs = Outputs(
+        scene=tmp_path / "s.ply", checkpoint=tmp_path / "s.safetensors", metrics=None, pictures=tmp_path / "p"
+    )
+    effect, notes = Effect(name=PASSING, on=False, why="", saving=Saving()), []
+    run = TrainingRun(trainer, [], outputs, started=0.0, effects=(effect,), on_note=notes.append)
+    run.step()
+    assert not any(PASSING in note for note in notes)
+    run.step()
+    said = f"{trainer.passed} in front of what other photos show were taken out"
+    assert trainer.passed and run.effects[0].on and run.effects[0].why == said
+    assert [note for note in notes if PASSING in note] == [
+        f"{PASSING}: {said}; --passing stay leaves them in"
+    ]
