@@ -373,7 +373,11 @@ def exponent_at(gathered, centres, j, place, surfels):
 
 @inline
 def blend_items(items, total, gathered, centres, max_alpha, pixels, surfels):
-    """Blends gathered splats over the pixels of a tile: `items` as `list_items` made them, in their order."""
+    """Blends gathered splats over the pixels of a tile: `items` as `list_items` made them, in their order.
+
+    Dropped: block by block, each with its splats as the bits of a number, so that its pixels are loaded and
+    stored once: the forward pass took 1.05 to 1.12 times as long, on one thread and on two.
+    """
     constants = exp2_constants(centres, EXPONENTS)
     for n in range(total):
         item = np.int64(items[n])  # as bits, which tell the compiler that no index is negative
