@@ -184,8 +184,8 @@ class TrainSettings(StrategySettings):
     batch: int = 1
     """Photos a step, whose gradients are averaged.
 
-    Dropped: more of them where there is time; half the bench's size, a third held out, equal time. `skull RGBA
-    100` scores 33.87 dB by one photo a step after three minutes, 34.06 by two (34,000 splats in place of
+    Dropped: more of them where there is time; half the bench's size, a third held out, equal time. `skull
+    RGBA 100` scores 33.87 dB by one photo a step after three minutes, 34.06 by two (34,000 splats in place of
     42,000), 34.01 by four, 33.84 by two in the second half; after one minute 33.48 by one, 32.92 by two.
     `playbot RGBA 100`, which judges: 39.04 and 38.95 by one and two after three minutes."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
