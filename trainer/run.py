@@ -210,6 +210,7 @@ class TrainingRun:
         self.memory = memory
         """What the run takes, as it was stated."""
         self._need = 1.0
+        self._easing_told = False
         """Share of the rules for few photos that is in force, in quarters."""
         self.evaluation: Evaluation | None = None
         """Latest scores on the held-out photos."""
@@ -389,14 +390,16 @@ class TrainingRun:
         return by_steps or (self.eval_seconds is not None and since >= self.eval_seconds)
 
     def _tell_easing(self) -> None:
-        """Notes by what share the rules for few photos are in force, where that has changed by a quarter."""
+        """Notes by what share the rules for few photos are in force, where that has changed by a quarter; says
+        so the first time, as a loss that wavers may cross such a share many times."""
         need = math.ceil(4 * self.trainer.need_of_reg) / 4
         if need == self._need:
             return
-        first, self._need = self._need == 1, need
+        self._need = need
         self.effects = with_easing(self.effects, need)
         line = next((one.why for one in self.effects if one.name == FEW_PHOTOS and one.in_force), "")
-        if line and first:
+        if line and not self._easing_told:
+            self._easing_told = True
             self.on_note(f"{FEW_PHOTOS}: {line}")
 
     def _write_metrics(self, report: StepReport, evaluation: Evaluation | None) -> None:

@@ -184,10 +184,13 @@ class TrainSettings(StrategySettings):
     batch: int = 1
     """Photos a step, whose gradients are averaged.
 
-    Dropped: more of them where there is time; half the bench's size, a third held out, equal time. `skull
-    RGBA 100` scores 33.87 dB by one photo a step after three minutes, 34.06 by two (34,000 splats in place of
-    42,000), 34.01 by four, 33.84 by two in the second half; after one minute 33.48 by one, 32.92 by two.
-    `playbot RGBA 100`, which judges: 39.04 and 38.95 by one and two after three minutes."""
+    Two where minutes are many bring more than the bench's model of a step's price shows. Runs of three
+    minutes on two cores, every 8th photo held out: `skull RGBA 100` scores 33.30 dB (33.32 with at most
+    40,000 splats), by two with at most 40,000 33.77; `playbot RGBA 100` 37.53 and 37.70. By that model, in
+    half the size, a third held out and equal time it is less clear: `skull RGBA 100` scores 33.87 dB by one
+    photo a step after three minutes, 34.06 by two (34,000 splats in place of 42,000), 34.01 by four, 33.84 by
+    two in the second half; after one minute 33.48 by one, 32.92 by two; `playbot RGBA 100` 39.04 and 38.95 by
+    one and two after three minutes. So one is the default."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     backdrop: Literal["auto", "off"] = "auto"
     """Whether photos that show the background as a plain colour, connected to their border, are known to be

@@ -213,3 +213,18 @@ def test_rules_for_few_photos_are_told_and_so_is_their_easing(make_trainer, tmp_
     assert note.endswith("; eased to 25%, as the scene meets them")
     assert note == f"{FEW_PHOTOS}: {training_run.effects[-1].why}"
     assert with_easing(training_run.effects, 1.0)[-1] == effects[-1], "back to all of it"
+
+
+def test_a_loss_that_wavers_is_told_once(make_trainer, tmp_path):
+    trainer = make_trainer(iterations=30, dropout=0.2, full_reg_loss=10.0)
+    outputs = Outputs(
+        scene=tmp_path / "s.ply", checkpoint=tmp_path / "s.safetensors", metrics=None, pictures=tmp_path / "p"
+    )
+    notes: list[str] = []
+    effects = capture_effects(capture([2.0] * 5), trainer.settings, "auto")
+    run = TrainingRun(trainer, [], outputs, started=0.0, effects=effects, on_note=notes.append)
+    for loss in (1e3, 1.0, 1e3, 1.0):
+        trainer.state["photo_loss"] = loss
+        run.step()
+        assert ("eased" in run.effects[-1].why) == (loss < 10)
+    assert len([note for note in notes if FEW_PHOTOS in note]) == 1
