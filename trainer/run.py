@@ -390,8 +390,8 @@ class TrainingRun:
         return by_steps or (self.eval_seconds is not None and since >= self.eval_seconds)
 
     def _tell_easing(self) -> None:
-        """Notes by what share the rules for few photos are in force, where that has changed by a quarter; says
-        so the first time, as a loss that wavers may cross such a share many times."""
+        """Notes by what share the rules for few photos are in force, where that has changed by a quarter.
+        Said the first time alone: a loss that wavers may cross such a share many times."""
         need = math.ceil(4 * self.trainer.need_of_reg) / 4
         if need == self._need:
             return
