@@ -138,11 +138,15 @@ def with_outliers(effects: tuple[Effect, ...], outliers: Outliers) -> tuple[Effe
     return tuple(replace(effect, on=on, why=why) if effect.name == OUTLIERS else effect for effect in effects)
 
 
-def with_passing(effects: tuple[Effect, ...], count: int) -> tuple[Effect, ...]:
-    """The same once so many splats of one photo alone have been taken out, as the run ended."""
-    why = f"{count:,} in front of what other photos show were taken out" if count else "none is in front"
+def with_passing(effects: tuple[Effect, ...], count: int | None) -> tuple[Effect, ...]:
+    """The same once a run has ended, and so many splats of one photo alone with it; None: none was looked
+    for."""
+    if count is None:
+        why = "not looked for: the scene meets its photos so well that nothing stands for missing ones"
+    else:
+        why = f"{count:,} in front of what other photos show were taken out" if count else "none is in front"
     return tuple(
-        replace(effect, on=count > 0, why=why) if effect.name == PASSING else effect for effect in effects
+        replace(effect, on=bool(count), why=why) if effect.name == PASSING else effect for effect in effects
     )
 
 

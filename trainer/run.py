@@ -292,7 +292,7 @@ class TrainingRun:
                 self.on_note(f"{OUTLIERS}: {outliers.evidence}; --outliers off trains on them")
             elif disagreeing(outliers.correlations).any():
                 self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check their poses if they look wrong")
-        if self.trainer.passed is not None:
+        if self.trainer.done and self.trainer.settings.most_of_one < 1:
             self.effects = with_passing(self.effects, self.trainer.passed)
             if self.trainer.passed:
                 why = next((effect.why for effect in self.effects if effect.name == PASSING), "")

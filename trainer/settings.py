@@ -182,15 +182,15 @@ class TrainSettings(StrategySettings):
     minutes: float | None = None
     """Wall-clock length of the whole run; with both, the one that ends first."""
     batch: int = 1
-    """Photos a step, whose gradients are averaged.
+    """Photos per step, whose gradients are averaged.
 
     Two where minutes are many bring more than the bench's model of a step's price shows. Runs of three
     minutes on two cores, every 8th photo held out: `skull RGBA 100` scores 33.30 dB (33.32 with at most
     40,000 splats), by two with at most 40,000 33.77; `playbot RGBA 100` 37.53 and 37.70. By that model, in
-    half the size, a third held out and equal time it is less clear: `skull RGBA 100` scores 33.87 dB by one
-    photo a step after three minutes, 34.06 by two (34,000 splats in place of 42,000), 34.01 by four, 33.84 by
-    two in the second half; after one minute 33.48 by one, 32.92 by two; `playbot RGBA 100` 39.04 and 38.95 by
-    one and two after three minutes. So one is the default."""
+    half the size, a third held out and equal time it is less clear: after three minutes `skull RGBA 100`
+    scores 33.87 dB by one photo per step, 34.06 by two (34,000 splats in place of 42,000), 34.01 by four,
+    33.84 by two in the second half, and after one minute 33.48 by one, 32.92 by two; `playbot RGBA 100` 39.04
+    and 38.95 by one and two after three minutes. So one is the default."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     backdrop: Literal["auto", "off"] = "auto"
     """Whether photos that show the background as a plain colour, connected to their border, are known to be

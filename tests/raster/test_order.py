@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from splatview import raster
 from splatview.raster.parameters import TILE
-from splatview.raster.project import LOG2_OPACITY, A, B, C, X, Y
+from splatview.raster.project import LOG2_OPACITY, X_REST, Y_REST, A, B, C, X, Y
 from splatview.raster.sort import DepthKeys, keyed_values, radix_sort
-from splatview.scene import RenderSettings, look_at
+from splatview.scene import Gaussians, RenderSettings, look_at
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
@@ -83,6 +83,34 @@ def test_every_tile_that_shows_a_splat_lists_it(random_gaussians, stretch):
                 needed.add((tile, int(splat)))
     assert needed <= listed
     assert len(listed) <= 1.15 * len(needed)
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (8000, 160)])
+def test_needles_far_from_the_corner_are_listed(size):
+    """What spans round in float32 is within their margin: no tile that shows a splat is without it."""
+    rng, count = np.random.default_rng(3), 300
+    log_scales = np.column_stack([rng.uniform(0, 4, count), rng.uniform(-12, -5, (count, 2))])
+    scene = Gaussians(
+        means=rng.uniform(-3, 3, (count, 3)).astype(np.float32) * np.float32([1, 1, 0.5]),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        log_scales=log_scales.astype(np.float32),
+        opacity_logits=rng.uniform(-4, 6, count).astype(np.float32),
+        sh=np.zeros((count, 1, 3), np.float32),
+    )
+    frame = draw(scene, look_at((0, 0, -6), (0, 0, 0), width=size[0], height=size[1]))
+    offsets, view = frame.bins.offsets, frame.view
+    tiles = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    listed, needed = set(zip(tiles.tolist(), frame.lists.tolist(), strict=True)), set()
+    shown = np.sort(frame.bins.order)[:80]
+    for splat in shown:
+        record = frame.records[splat].astype(np.float64)
+        dx = np.arange(size[0]) + 0.5 - (record[X] + record[X_REST])
+        dy = (np.arange(size[1]) + 0.5 - (record[Y] + record[Y_REST]))[:, None]
+        form = (record[A] * dx + record[B] * dy) ** 2 + (record[C] * dy) ** 2
+        y, x = np.nonzero(record[LOG2_OPACITY] - form >= view.log2_cut)
+        needed |= {(tile, int(splat)) for tile in (y // TILE * view.tiles_x + x // TILE).tolist()}
+    assert needed <= listed
+    assert len([tile for tile, splat in listed if splat in shown]) <= 1.02 * len(needed)
 
 
 def test_lists_are_in_depth_order(random_gaussians):

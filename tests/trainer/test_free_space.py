@@ -215,8 +215,11 @@ def test_it_goes_as_the_run_ends(
     assert bool(trainer.passed) == goes
 
 
-def test_a_run_says_how_many_went(views: list[TrainView], start: Parameters, make_trainer, tmp_path) -> None:
-    settings = replace(make_trainer(iterations=2).settings, full_reg_loss=0.0, free_space=0.0)
+@pytest.mark.parametrize("full", [0.0, 1e3])
+def test_a_run_says_how_many_went(
+    views: list[TrainView], start: Parameters, make_trainer, tmp_path, full: float
+) -> None:
+    settings = replace(make_trainer(iterations=2).settings, full_reg_loss=full, free_space=0.0)
     trainer = Trainer(TrainViews(views[:4], 0), with_a_branch(start, views[0]), 3.0, settings)
     outputs = Outputs(
         scene=tmp_path / "s.ply", checkpoint=tmp_path / "s.safetensors", metrics=None, pictures=tmp_path / "p"
@@ -226,6 +229,10 @@ def test_a_run_says_how_many_went(views: list[TrainView], start: Parameters, mak
     run.step()
     assert not any(PASSING in note for note in notes)
     run.step()
+    if full:
+        assert trainer.passed is None and not run.effects[0].on and "not looked for" in run.effects[0].why
+        assert not any(PASSING in note for note in notes)
+        return
     said = f"{trainer.passed} in front of what other photos show were taken out"
     assert trainer.passed and run.effects[0].on and run.effects[0].why == said
     assert [note for note in notes if PASSING in note] == [
