@@ -91,7 +91,7 @@ def test_needles_far_from_the_corner_are_listed(size):
     rng, count = np.random.default_rng(3), 300
     log_scales = np.column_stack([rng.uniform(0, 4, count), rng.uniform(-12, -5, (count, 2))])
     scene = Gaussians(
-        means=rng.uniform(-3, 3, (count, 3)).astype(np.float32) * np.float32([1, 1, 0.5]),
+        means=rng.uniform(-3, 3, (count, 3)).astype(np.float32) * np.array([1, 1, 0.5], np.float32),
         quats=rng.normal(size=(count, 4)).astype(np.float32),
         log_scales=log_scales.astype(np.float32),
         opacity_logits=rng.uniform(-4, 6, count).astype(np.float32),
