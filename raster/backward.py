@@ -15,8 +15,8 @@ Each pair's sums over the pixels of its tile go to a row of their own, and `gath
 splat by splat: nothing is shared between threads, and sums do not depend on how many there are.
 
 With t = dL/dln(alpha), zero where alpha is capped, u = A·dx + B·dy and v = C·dy as in `project`, a row is
-the sums of t, t·u, t·u·dx, t·u·dy, t·v, t·v·dy, |t·u|, |t·(B·u + C·v)|, and of alpha·T·g for red, green
-and blue.
+the sums of t, t·u, t·u·dx, t·u·dy, t·v, t·v·dy, of alpha·T·g for red, green and blue, and, where somebody
+asks for them, |t·u| and |t·(B·u + C·v)|.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ from splatview.raster.simd import (
     sum_lanes,
 )
 
-T, TU, TUX, TUY, TV, TVY, ABS_X, ABS_Y, D_RED, D_GREEN, D_BLUE = range(11)
+T, TU, TUX, TUY, TV, TVY, D_RED, D_GREEN, D_BLUE, ABS_X, ABS_Y = range(11)
 SUMS = 16
 """Numbers per row of sums; the last five are 0."""
 
@@ -154,10 +154,11 @@ def if_within(value, x, above, below):
 
 @inline
 def differentiate(
-    gathered, start, stop, items, firsts, log2_cut, max_alpha, pixels, centres, first_row, sums
+    gathered, start, stop, items, firsts, log2_cut, max_alpha, pixels, centres, first_row, sums, absolutes
 ):
     """Walks gathered splats [start, stop) from last to first; the sums of the j-th go to sums[first_row + j],
-    sums being (pairs·SUMS,). items and firsts as `list_items` made them."""
+    sums being (pairs·SUMS,). items and firsts as `list_items` made them; absolutes None: without ABS_X and
+    ABS_Y."""
     for k in range(start, stop):
         j = max(stop - 1 - (k - start), 0)  # max tells the compiler that no index is negative
         a, b = spread_block(gathered[G_A * CHUNK + j]), spread_block(gathered[G_B * CHUNK + j])
@@ -209,22 +210,15 @@ def differentiate(
             tux_sum = fma(tu, dx, tux_sum)
             tuy_sum = fma(tu, dy, tuy_sum)
             tvy_sum = fma(tv, dy, tvy_sum)
-            abs_x = abs_x + absolute(tu)
-            abs_y = abs_y + absolute(fma(b, tu, c * tv))
-        totals = (
-            t_sum,
-            tu_sum,
-            tux_sum,
-            tuy_sum,
-            tv_sum,
-            tvy_sum,
-            abs_x,
-            abs_y,
-            red_sum,
-            green_sum,
-            blue_sum,
-        )
-        store(sums, (first_row + j) * SUMS, sum_lanes(totals))
+            if absolutes is not None:
+                abs_x = abs_x + absolute(tu)
+                abs_y = abs_y + absolute(fma(b, tu, c * tv))
+        shape = t_sum, tu_sum, tux_sum, tuy_sum, tv_sum, tvy_sum
+        colour = red_sum, green_sum, blue_sum
+        if absolutes is None:
+            store(sums, (first_row + j) * SUMS, sum_lanes((*shape, *colour)))
+        else:
+            store(sums, (first_row + j) * SUMS, sum_lanes((*shape, *colour, abs_x, abs_y)))
 
 
 @inline
@@ -258,9 +252,10 @@ def differentiate_tiles(
     sums,
     walked,
     d_background,
+    absolutes,
 ):
     """Writes the sums of the pairs of tiles [start, stop), how many pairs of each tile have any, and each
-    tile's gradient by the background, d_background (tiles, 3) float64.
+    tile's gradient by the background, d_background (tiles, 3) float64. absolutes None: without ABS_X, ABS_Y.
 
     offsets (tiles + 1,) int64; lists (pairs,) int32, lists[0] being place `base`; walked (tiles,) int64;
     transmittance and n_contrib as in `forward`; records (N, RECORD), background (3,), transmittance,
@@ -316,6 +311,7 @@ def differentiate_tiles(
                     centres,
                     first + begin,
                     sums,
+                    absolutes,
                 )
                 until = before
         add_background(pixels, first_pixel, transmittance, d_background[tile])

@@ -152,8 +152,9 @@ COLUMNS = 36
 
 
 @inline
-def differentiate_group(view, optics, sums, lanes):
-    """Fills the columns from D_POSITION on from the loaded ones and the splats' sums, columns too."""
+def differentiate_group(view, optics, sums, lanes, by_view):
+    """Fills the columns from D_POSITION on from the loaded ones and the splats' sums, columns too; `by_view`
+    None: without those that are nobody's gradient by a parameter, from D_MEAN2D on."""
     lens, parallel = optics
     ox, oy, oz = three_columns(lanes, OFFSET)
     x, y, z = camera_point(view, ox, oy, oz)
@@ -216,10 +217,11 @@ def differentiate_group(view, optics, sums, lanes):
     a, tu = math.sqrt(yy / det), column(sums, TU)
     d_x2 = a * tu * PER_SCALE
     d_y2 = (math.sqrt(inverse_yy) * column(sums, TV) - xy * inverse_yy * a * tu) * PER_SCALE
-    set_column(lanes, D_MEAN2D, d_x2)
-    set_column(lanes, D_MEAN2D + 1, d_y2)
-    set_column(lanes, ABS_MEAN2D, a * column(sums, ABS_X) * PER_SCALE)
-    set_column(lanes, ABS_MEAN2D + 1, column(sums, ABS_Y) * (PER_SCALE * PER_SCALE))
+    if by_view is not None:
+        set_column(lanes, D_MEAN2D, d_x2)
+        set_column(lanes, D_MEAN2D + 1, d_y2)
+        set_column(lanes, ABS_MEAN2D, a * column(sums, ABS_X) * PER_SCALE)
+        set_column(lanes, ABS_MEAN2D + 1, column(sums, ABS_Y) * (PER_SCALE * PER_SCALE))
 
     # P = J·W: rows of dL/dP times the rows of W are dL/dJ.
     d_j = *camera_point(view, d_p[0], d_p[1], d_p[2]), *camera_point(view, d_p[3], d_p[4], d_p[5])
@@ -227,19 +229,20 @@ def differentiate_group(view, optics, sums, lanes):
     wx, wy, wz = camera_to_world(view, tx, ty, tz)
     set_three(lanes, D_POSITION, wx, wy, wz)
     # The camera: t' = t + shift + turn x t, W' = (1 + [turn])·W, and the eye moves against the shift.
-    set_three(lanes, D_SHIFT, tx, ty, tz)
-    set_three(lanes, D_TURN, turn_x, turn_y, turn_z)
+    if by_view is not None:
+        set_three(lanes, D_SHIFT, tx, ty, tz)
+        set_three(lanes, D_TURN, turn_x, turn_y, turn_z)
     nx, ny, nz, away = viewing_direction(parallel, view, ox, oy, oz)
     set_three(lanes, DIRECTION, nx, ny, nz)
     set_column(lanes, AWAY, away)
 
 
 @inline
-def differentiate_colours(view, optics, degree, sums, excess, lanes, basis, coefficients, along):
-    """Adds what the colours' dependence on the direction moves to the columns of position and camera, and
-    replaces the columns of `coefficients`, as `load_sh` has them, by the gradients. basis and along
-    (16·LANES,) are room to work in, in the dtype of the splats' sums, columns too, and what is computed of
-    colours has it too; `excess` times the sums are the gradients."""
+def differentiate_colours(view, optics, degree, sums, excess, lanes, basis, coefficients, along, by_view):
+    """Adds what the colours' dependence on the direction moves to the columns of position and, unless
+    `by_view` is None, of the camera, and replaces the columns of `coefficients`, as `load_sh` has them, by
+    the gradients. basis and along (16·LANES,) are room to work in, in the dtype of the splats' sums, columns
+    too, and what is computed of colours has it too; `excess` times the sums are the gradients."""
     nx, ny, nz = three_columns(lanes, DIRECTION)
     to_x, to_y, to_z = converted(nx, basis), converted(ny, basis), converted(nz, basis)
     count = (degree + 1) * (degree + 1)
@@ -262,7 +265,7 @@ def differentiate_colours(view, optics, degree, sums, excess, lanes, basis, coef
     dx, dy, dz = widened(dx) * excess, widened(dy) * excess, widened(dz) * excess
     radial = nx * dx + ny * dy + nz * dz
     dx, dy, dz = dx - nx * radial, dy - ny * radial, dz - nz * radial
-    if optics.parallel is not None:  # the direction is the camera's own and turns with it
+    if by_view is not None and optics.parallel is not None:  # the direction is the camera's and turns with it
         cx, cy, _ = camera_point(view, dx, dy, dz)
         set_column(lanes, D_TURN, column(lanes, D_TURN) + cy)
         set_column(lanes, D_TURN + 1, column(lanes, D_TURN + 1) - cx)
@@ -270,9 +273,10 @@ def differentiate_colours(view, optics, degree, sums, excess, lanes, basis, coef
     dx, dy, dz = dx * away, dy * away, dz * away
     px, py, pz = three_columns(lanes, D_POSITION)
     set_three(lanes, D_POSITION, px + dx, py + dy, pz + dz)
-    cx, cy, cz = camera_point(view, dx, dy, dz)
-    tx, ty, tz = three_columns(lanes, D_SHIFT)
-    set_three(lanes, D_SHIFT, tx + cx, ty + cy, tz + cz)
+    if by_view is not None:
+        cx, cy, cz = camera_point(view, dx, dy, dz)
+        tx, ty, tz = three_columns(lanes, D_SHIFT)
+        set_three(lanes, D_SHIFT, tx + cx, ty + cy, tz + cz)
 
 
 @inline
@@ -283,10 +287,10 @@ def held(gradient):
 
 
 @inline
-def hold(lanes):
-    """Keeps the columns of gradients within what float32 holds: by a quaternion of length 1e-30, say, or a
-    splat at the eye, they are more. NaN stays."""
-    for index in range(D_POSITION, DIRECTION):
+def hold(lanes, end):
+    """Keeps the columns of gradients below `end` within what float32 holds: by a quaternion of length 1e-30,
+    say, or a splat at the eye, they are more. NaN stays."""
+    for index in range(D_POSITION, end):
         set_column(lanes, index, held(column(lanes, index)))
 
 
@@ -321,8 +325,8 @@ def project_backward(
     Parameters and their gradients have the shapes of `Parameters`; d_means2d and abs_means2d (N, 2)
     receive the gradient by the mean in px and the sum of its absolute values by pixel (Ye et al. 2024,
     AbsGS). pose_sums (blocks, 6) float64 receives gradients by a small motion of the camera, added up
-    by POSE_BLOCK splats: see `gradients`. The sums are those of a loss `excess` times smaller. Rows of splats
-    that are not visible become 0.
+    by POSE_BLOCK splats: see `gradients`. These three are None where nobody asks for them. The sums are
+    those of a loss `excess` times smaller. Rows of splats that are not visible become 0.
     """
     basis, along = aligned(16 * LANES, splat_sums.dtype), aligned(16 * LANES, splat_sums.dtype)
     coefficients = aligned(SH_COLUMNS * LANES, sh.dtype)
@@ -333,7 +337,8 @@ def project_backward(
     lanes = aligned(COLUMNS * LANES, np.float64)
     rows = aligned(SUMS * LANES, splat_sums.dtype)
     sums = aligned(SUMS * LANES, np.float64)
-    pose_sums[start // POSE_BLOCK : (stop + POSE_BLOCK - 1) // POSE_BLOCK] = 0
+    if pose_sums is not None:
+        pose_sums[start // POSE_BLOCK : (stop + POSE_BLOCK - 1) // POSE_BLOCK] = 0
     written = start
     for group in range(run_start, run_stop, LANES):
         for lane in range(LANES):  # beyond the end the last again
@@ -344,18 +349,22 @@ def project_backward(
         load_rows(flat_sums, starts, SUMS, rows, 0)
         for index in range(D_RED):
             set_column(sums, index, widened(column(rows, index)) * excess)
-        differentiate_group(view, optics, sums, lanes)
+        if pose_sums is not None:
+            for index in range(ABS_X, ABS_Y + 1):
+                set_column(sums, index, widened(column(rows, index)) * excess)
+        differentiate_group(view, optics, sums, lanes, pose_sums)
         for lane in range(LANES):
             starts[lane] = np.int64(visible[min(group + lane, run_stop - 1)]) * numbers
         load_sh(flat_sh, starts, used, coefficients)
-        differentiate_colours(view, optics, degree, rows, excess, lanes, basis, coefficients, along)
+        colours = rows, excess, lanes, basis, coefficients, along, pose_sums
+        differentiate_colours(view, optics, degree, *colours)
         coefficients[used * LANES :] = 0
         for lane in range(LANES):
             starts[lane] = np.int64(visible[min(group + lane, run_stop - 1)]) * numbers
         for first in range(0, numbers, LANES):
             store_rows(flat_d_sh, starts, min(numbers - first, LANES), coefficients, first * LANES)
             starts += LANES
-        hold(lanes)
+        hold(lanes, D_MEAN2D if pose_sums is None else DIRECTION)
         for lane in range(min(LANES, run_stop - group)):
             i = np.int64(visible[group + lane])
             if written < i:
@@ -369,13 +378,14 @@ def project_backward(
             for component in range(4):
                 d_quats[i, component] = lanes[(D_QUAT + component) * LANES + lane]
             d_opacity_logits[i] = lanes[D_LOGIT * LANES + lane]
-            for axis in range(2):
-                d_means2d[i, axis] = lanes[(D_MEAN2D + axis) * LANES + lane]
-                abs_means2d[i, axis] = lanes[(ABS_MEAN2D + axis) * LANES + lane]
-            pose = pose_sums[i // POSE_BLOCK]
-            for axis in range(3):
-                pose[axis] += lanes[(D_SHIFT + axis) * LANES + lane]
-                pose[3 + axis] += lanes[(D_TURN + axis) * LANES + lane]
+            if pose_sums is not None:
+                for axis in range(2):
+                    d_means2d[i, axis] = lanes[(D_MEAN2D + axis) * LANES + lane]
+                    abs_means2d[i, axis] = lanes[(ABS_MEAN2D + axis) * LANES + lane]
+                pose = pose_sums[i // POSE_BLOCK]
+                for axis in range(3):
+                    pose[axis] += lanes[(D_SHIFT + axis) * LANES + lane]
+                    pose[3 + axis] += lanes[(D_TURN + axis) * LANES + lane]
     zero_rows(written, stop, d_means, d_quats, d_log_scales, d_opacity_logits, d_sh, d_means2d, abs_means2d)
 
 
@@ -390,5 +400,6 @@ def zero_rows(start, stop, d_means, d_quats, d_log_scales, d_opacity_logits, d_s
         for k in range(d_sh.shape[1]):
             for channel in range(3):
                 d_sh[i, k, channel] = 0
-        for axis in range(2):
-            d_means2d[i, axis] = abs_means2d[i, axis] = 0
+        if d_means2d is not None:
+            for axis in range(2):
+                d_means2d[i, axis] = abs_means2d[i, axis] = 0

@@ -42,7 +42,7 @@ class Visibility:
         """N, the splats of the scene."""
         self.width, self.height = size
         self.means2d: torch.Tensor | None = None
-        """(N, 2) dL/d(mean in the image), px; None before backward."""
+        """(N, 2) dL/d(mean in the image), px; None before backward, and where nobody asked for it."""
         self.abs_means2d: torch.Tensor | None = None
         """(N, 2) the same, added up over pixels by absolute value (Ye et al. 2024, AbsGS)."""
         self.milliseconds: dict[str, float] = {}
@@ -88,7 +88,7 @@ class Visibility:
             self.pieces = np.array_split(union, max(len(self.pieces), 1))
 
     def on_backward(self, function: Callable[[Visibility], None]) -> None:
-        """Has `function` called with this once `means2d` and `abs_means2d` are there."""
+        """Has `function` called with this once the picture has been differentiated."""
         self._on_backward.append(function)
 
 
@@ -105,6 +105,7 @@ def rasterize(
     pose: torch.Tensor | None = None,
     early_stop: float | None = None,
     dtype: torch.dtype | None = None,
+    by_view: bool = True,
     threads: int | None = None,
 ) -> tuple[torch.Tensor, Visibility]:
     """The picture (H, W, 4), RGB over the background and alpha, in `dtype`; and what shows in it.
@@ -116,7 +117,8 @@ def rasterize(
     the settings, or else `GRADIENT_EARLY_STOP` in float32 and 0, never, in float64. Threads: None means all
     cores.
 
-    The gradients by the means in the image are in the `Visibility` once the picture has been differentiated.
+    The gradients by the means in the image are in the `Visibility` once the picture has been differentiated,
+    unless `by_view` is false, which leaves out what they cost; a pose that needs a gradient gets it anyway.
     A picture that is differentiated again (`retain_graph`) is drawn again first. There are no second
     derivatives.
 
@@ -150,7 +152,7 @@ def rasterize(
     if early_stop is None:
         early_stop = GRADIENT_EARLY_STOP if dtype == torch.float32 else 0.0
     visibility = Visibility([], len(means), (camera.width, camera.height))
-    options = _Options(camera, settings, early_stop, NUMPY[dtype], threads)
+    options = _Options(camera, settings, early_stop, NUMPY[dtype], by_view, threads)
     image = _Rasterize.apply(*named.values(), background, pose, options, visibility)
     assert isinstance(image, torch.Tensor)
     return image, visibility
@@ -176,6 +178,7 @@ class _Options:
     settings: RenderSettings
     early_stop: float
     dtype: type[np.floating]
+    by_view: bool
     threads: int | None
 
     def draw(self, splats: Parameters, background: torch.Tensor | None, workspace: Workspace) -> Frame:
@@ -200,21 +203,24 @@ class _Buffers:
     gradients: list[np.ndarray] = field(default_factory=list)
     """Arrays of the latest gradients, which the graph that they went into may still hold."""
 
-    def differentiate(self, splats: Parameters, frame: Frame, d_image: np.ndarray) -> Gradients:
+    def differentiate(
+        self, splats: Parameters, frame: Frame, d_image: np.ndarray, *, by_view: bool
+    ) -> Gradients:
         """Overwrites the latest gradients where nothing but this refers to them any more."""
         arrays, reuse = self.gradients, None
         if arrays and all(sys.getrefcount(arrays[i]) <= UNSHARED for i in range(len(arrays))):
-            nothing = np.empty(0)
+            means2d, abs_means2d = arrays[5:] or (None, None)
             reuse = Gradients(
                 parameters=Parameters(*arrays[:5]),
-                means2d=arrays[5],
-                abs_means2d=arrays[6],
-                background=nothing,
-                pose=nothing,
+                means2d=means2d,
+                abs_means2d=abs_means2d,
+                background=np.empty(0),
+                pose=None,
                 milliseconds={},
             )
-        found = differentiate(splats, frame, d_image, reuse=reuse)
-        self.gradients = [*found.parameters, found.means2d, found.abs_means2d]
+        found = differentiate(splats, frame, d_image, by_view=by_view, reuse=reuse)
+        by_means = (found.means2d, found.abs_means2d)
+        self.gradients = [*found.parameters, *(array for array in by_means if array is not None)]
         return found
 
 
@@ -294,11 +300,13 @@ class _Rasterize(torch.autograd.Function):
         frame, buffers = held.frame, held.buffers
         assert frame is not None and buffers is not None
         d_image = grad_outputs[0].contiguous().numpy()
-        gradients = buffers.differentiate(held.splats, frame, d_image)
+        by_view = ctx.options.by_view or ctx.needs_input_grad[6]
+        gradients = buffers.differentiate(held.splats, frame, d_image, by_view=by_view)
         visibility: Visibility = ctx.visibility
         visibility.milliseconds |= gradients.milliseconds
-        visibility.means2d = torch.from_numpy(gradients.means2d)
-        visibility.abs_means2d = torch.from_numpy(gradients.abs_means2d)
+        if gradients.means2d is not None and gradients.abs_means2d is not None:
+            visibility.means2d = torch.from_numpy(gradients.means2d)
+            visibility.abs_means2d = torch.from_numpy(gradients.abs_means2d)
         held.release()
         clock = StageClock()
         with clock.stage("density"):
@@ -308,7 +316,7 @@ class _Rasterize(torch.autograd.Function):
         d_background = d_pose = None
         if ctx.needs_input_grad[5]:
             d_background = torch.from_numpy(gradients.background)
-        if ctx.needs_input_grad[6]:
+        if ctx.needs_input_grad[6] and gradients.pose is not None:
             d_pose = torch.from_numpy(gradients.pose.astype(d_image.dtype))
         return *map(torch.from_numpy, gradients.parameters), d_background, d_pose, None, None
 

@@ -312,6 +312,7 @@ class Trainer:
             drawn_as,
             early_stop=EARLY_STOP if drawn_as.early_stop is None else drawn_as.early_stop,
             dtype=torch.float32 if self.picture_dtype is np.float32 else torch.float64,
+            by_view=self.strategy.by_view,
             threads=self.threads,
         )
         exposure = None

@@ -437,6 +437,21 @@ def test_parameter_changed_between_is_noticed(random_gaussians):
         image.sum().backward()
 
 
+def test_means_in_the_image_are_left_out_and_a_pose_that_asks_is_not(random_gaussians):
+    camera = look_at((0.4, 0.3, -2.4), (0, 0, 0), width=40, height=30)
+    scene, found = random_gaussians(20), {}
+    for by_view in (True, False):
+        for asks in (True, False):
+            inputs, pose = tensors_of(scene, torch.float32), torch.zeros(6, requires_grad=asks)
+            image, info = picture(inputs, camera, pose=pose, by_view=by_view)
+            image.square().sum().backward()
+            assert (info.means2d is None) == (not by_view and not asks)
+            found[by_view, asks] = [gradient(inputs[name]) for name in GROUPS], pose.grad
+    for gradients, _ in found.values():
+        assert all(map(torch.equal, gradients, found[True, True][0]))
+    assert torch.equal(found[True, True][1], found[False, True][1])
+
+
 @pytest.mark.parametrize("name", [*GROUPS, "background", "pose"])
 def test_wrong_arguments_are_named(random_gaussians, name):
     camera = look_at((0, 0, -2), (0, 0, 0), width=20, height=20)

@@ -141,11 +141,11 @@ def measure(
     weights = np.random.default_rng(1).normal(size=(camera.height, camera.width, 4)).astype(np.float32)
     samples: list[dict[str, float]] = []
     frame = draw_frame(splats, camera, RenderSettings(), workspace, threads=threads)
-    gradients = differentiate(splats, frame, weights)  # compiles, and finds its memory
+    gradients = differentiate(splats, frame, weights, by_view=False)  # compiles, and finds its memory
     deadline = time.perf_counter() + seconds
     while len(samples) < MIN_REPEATS or (time.perf_counter() < deadline and len(samples) < MAX_REPEATS):
         frame = draw_frame(splats, camera, RenderSettings(), workspace, threads=threads)
-        gradients = differentiate(splats, frame, weights, reuse=gradients)
+        gradients = differentiate(splats, frame, weights, by_view=False, reuse=gradients)
         samples.append({**frame.milliseconds, **gradients.milliseconds})
     peak, rate = peak_gflops(), forward_rate(frame)
     times = np.array([[sample.get(stage, 0.0) for stage in STAGES] for sample in samples])

@@ -152,7 +152,7 @@ class CpuProjection:
         frame = self._frame(block, splats)
         d_image = np.random.default_rng(0).normal(size=frame.image.shape).astype(np.float32)
         gradients = differentiate(splats, frame, d_image)
-        arrays = (*gradients.parameters, gradients.means2d, gradients.abs_means2d, gradients.pose)
+        arrays: list[Any] = [*gradients.parameters, gradients.means2d, gradients.abs_means2d, gradients.pose]
         return all(np.isfinite(array).all() for array in arrays)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -91,6 +91,8 @@ class DefaultSettings(DensitySettings):
 
 class DefaultStrategy(Strategy[DefaultSettings]):
     """Adds up what pictures show of each splat, and refines the scene by it."""
+
+    by_view: ClassVar[bool] = True
 
     def __init__(self, settings: DefaultSettings | None = None, thresholds: Thresholds | None = None) -> None:
         super().__init__(settings or DefaultSettings())

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -70,6 +70,9 @@ class Strategy(ABC, Generic[Settings]):
     the step began, 0 to 1, by which settings are stated. A step on several pictures calls
     `step_pre_backward` for each of them, and `step_post_backward` once, with a `Visibility` of them all.
     """
+
+    by_view: ClassVar[bool] = False
+    """Whether it notes gradients by means in the image, see `rasterize`."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
