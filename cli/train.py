@@ -316,7 +316,10 @@ def make_parser() -> Parser:
         "--max-splats", type=count, metavar="N", help="most splats (default: by the photos' pixels)"
     )
     group.add_argument(
-        "--batch", type=count, metavar="B", help="photos a step (default: 1, or one for each process)"
+        "--batch",
+        type=count,
+        metavar="B",
+        help="photos a step (default: 1 to 4 by what there is time for, or one for each process)",
     )
     group.add_argument(
         "--coarse",
@@ -468,6 +471,8 @@ def opening_lines(ready: Run) -> str:
     )
     if trainer.group.size > 1:
         text += f"; {trainer.group.size} processes share batches of {trainer.settings.batch}"
+    elif trainer.settings.batch > 1:
+        text += f"; {trainer.settings.batch} photos a step"
     return "\n".join([text, f"  {ready.memory.line}", *map(effect_line, ready.effects)])
 
 

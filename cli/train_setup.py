@@ -50,7 +50,7 @@ from splatview.trainer.memory import (
 )
 from splatview.trainer.photo_size import SizeChoice
 from splatview.trainer.run import Outputs
-from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_steps
+from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_batch, automatic_steps
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.torch_import import TorchImport
 from splatview.trainer.views import TrainView, TrainViews, train_views
@@ -163,8 +163,10 @@ def _prepare(
         for name in OF_THE_CHECKPOINT:
             if getattr(options, name) is not None:
                 raise InputError(f"--{name.replace('_', '-')} is the checkpoint's; leave it out to resume")
-    batch = checkpoint.settings.batch if checkpoint else options.batch or group.size
-    if not batch >= group.size:
+    batch = checkpoint.settings.batch if checkpoint else options.batch
+    if batch is None and group.size > 1:
+        batch = group.size
+    if batch is not None and not batch >= group.size:
         raise InputError(f"{group.size} processes cannot share a batch of {batch}; start at most {batch}")
     asked_size = None if options.downscale == "auto" else options.downscale
     if checkpoint is not None:
@@ -191,7 +193,10 @@ def _prepare(
     def room_for(sizes: PhotoSizes, *, points: int) -> RunMemory:
         start, pixels = options.start or "auto", sizes.largest
         stereo = checkpoint is None and begins_by_stereo(start, points=points, pixels=pixels)
-        more = {"machine": machine, "batch": batch, "stereo": stereo, "window": window}
+        # As many photos a step as there may be: where photos are few, there are more steps instead.
+        timed = options.minutes if options.iterations is None else None
+        most = batch or automatic_batch(timed, None, machine.threads)
+        more = {"machine": machine, "batch": most, "stereo": stereo, "window": window}
         return _room_for(sizes, bound, options, checkpoint, **more)
 
     size = SizeChoice(asked_size, options.minutes, machine.threads, room_for)
@@ -371,7 +376,7 @@ def _new_trainer(
     views: TrainViews,
     centre: np.ndarray,
     seed: int,
-    batch: int,
+    batch: int | None,
     options: argparse.Namespace,
     group: Group,
     loss: LossPlugin | None,
@@ -393,7 +398,6 @@ def _new_trainer(
         max_splats=options.max_splats,
         antialiased=options.antialiased or "auto",
         seed=seed,
-        batch=batch,
         strategy=strategy,
         exposure=options.exposure or "auto",
         outliers=options.outliers or "auto",
@@ -402,6 +406,7 @@ def _new_trainer(
         absolute_gradient=bool(options.abs_grad),
         threads=cores,
         start=options.start or "auto",
+        **({} if batch is None else {"batch": batch}),
         **({} if options.coarse is None else {"resolution": _resolution(options.coarse)}),
         **({} if options.background in (None, "auto") else {"background": options.background}),
     )

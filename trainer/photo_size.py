@@ -18,6 +18,7 @@ from splatview.scene import InputError
 from splatview.scene.captures import PosedPhotos
 from splatview.scene.captures.photos import downscaled_size
 from splatview.trainer.memory import sizes_of_files
+from splatview.trainer.settings import MOST_THREADS
 
 LARGEST_SIDE = 1600
 """px of the longer side that photos have at most, as in the code of Kerbl et al. 2023."""
@@ -27,9 +28,6 @@ SMALLEST_SIDE = 64
 
 THREAD_PIXELS = 40e3
 """Pixels of a photo that a minute has steps enough for, for each thread. See `LAST_FACTOR`."""
-
-MOST_THREADS = 8
-"""More are not counted on: cores share their memory, and a part of each step is for one thread."""
 
 GROWTH = 0.5
 """Exponent of the minutes: a longer run has more steps on larger photos. See `LAST_FACTOR`."""

@@ -36,10 +36,10 @@ SPLATS_FOR_A_MINUTE = 35_000
 4,425."""
 
 STEPS_OF_A_MINUTE = 3_000
-"""About as many steps are made in a minute with so many splats. Where steps end a run, more minutes allow no
-more splats: `banana`, given ten minutes that its 6,000 steps do not take, scores 27.93 and 24.75 dB with
-110,700 splats (splits 0 and 1), 27.86 and 25.11 with 49,500, in two thirds of the time. One run each, of
-which chance makes 0.4 dB; no other capture has judged it."""
+"""About as many steps, of one photo each, are made in a minute on two cores with so many splats. Where steps
+end a run, more minutes allow no more splats: `banana`, given ten minutes that its 6,000 steps do not take,
+scores 27.93 and 24.75 dB with 110,700 splats (splits 0 and 1), 27.86 and 25.11 with 49,500, in two thirds of
+the time. One run each, of which chance makes 0.4 dB; no other capture has judged it."""
 
 LEAST_LIMIT, MOST_LIMIT = 2_000, 2_000_000
 
@@ -54,20 +54,42 @@ def automatic_limit(pixels: int, minutes: float | None = None, steps: int | None
     return min(max(limit, LEAST_LIMIT), MOST_LIMIT)
 
 
+MOST_THREADS = 8
+"""More are not counted on: cores share their memory, and a part of each step is for one thread."""
+
+BATCH_STEPS, MOST_BATCH = 4_500, 4
+"""Steps that a run has at least where it takes several photos a step, and photos that it takes at most."""
+
+
+def automatic_batch(minutes: float | None, steps: int | None, threads: int) -> int:
+    """A sensible `batch` for a run of so many minutes on so many threads; 1 where steps end it.
+
+    Figures are below.
+    """
+    if minutes is None or steps is not None:
+        return 1
+    photos = STEPS_OF_A_MINUTE * minutes * min(threads, MOST_THREADS) / 2
+    return min(max(int(photos / BATCH_STEPS), 1), MOST_BATCH)
+
+
 MOST_REG = 0.1
 
 
-def automatic_regularisation(photos: int) -> float:
-    """Sensible `opacity_reg` and `scale_reg` for so many photos: the fewer, the stronger.
+def automatic_regularisation(photos: int, covered: float = 1.0) -> float:
+    """Sensible `opacity_reg` and `scale_reg` for so many photos, which show something in this share of their
+    pixels, see `TrainViews.covered`: the fewer, the stronger; the less they show, the weaker.
 
     Splats that serve few views then fade. On held-out photos of `banana` (13 to train on) 0.1 scores
     0.6 dB more than 0.01, on those of `miku` (84) 0.6 dB less.
+
+    The photo loss is a mean over pixels, the regularisers are means over splats, all of which are where
+    something is: on photos that are empty for the most part they press harder than on others.
 
     Dropped: to go by how many photos show the same place instead of how many there are. `playbot close 80` of
     the bench (53 to train on, each of which shows a part) scores 26.50 dB by its number of photos, 26.31 with
     the rules for few.
     """
-    return min(max(1.3 / max(photos, 1), LEAST_REG), MOST_REG)
+    return min(max(1.3 / max(photos, 1), LEAST_REG), MOST_REG) * covered
 
 
 FULL_REG_LOSS = 0.02
@@ -182,15 +204,7 @@ class TrainSettings(StrategySettings):
     minutes: float | None = None
     """Wall-clock length of the whole run; with both, the one that ends first."""
     batch: int = 1
-    """Photos per step, whose gradients are averaged.
-
-    Two where minutes are many bring more than the bench's model of a step's price shows. Runs of three
-    minutes on two cores, every 8th photo held out: `skull RGBA 100` scores 33.30 dB (33.32 with at most
-    40,000 splats), by two with at most 40,000 33.77; `playbot RGBA 100` 37.53 and 37.70. By that model, in
-    half the size, a third held out and equal time it is less clear: after three minutes `skull RGBA 100`
-    scores 33.87 dB by one photo per step, 34.06 by two (34,000 splats in place of 42,000), 34.01 by four,
-    33.84 by two in the second half, and after one minute 33.48 by one, 32.92 by two; `playbot RGBA 100` 39.04
-    and 38.95 by one and two after three minutes. So one is the default."""
+    """Photos per step, whose gradients are averaged. See `automatic_batch`."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     backdrop: Literal["auto", "off"] = "auto"
     """Whether photos that show the background as a plain colour, connected to their border, are known to be

@@ -41,6 +41,7 @@ from splatview.trainer.settings import (
     LEAST_LIMIT,
     PAPER_ITERATIONS,
     TrainSettings,
+    automatic_batch,
     automatic_dropout,
     automatic_limit,
     automatic_max_aspect,
@@ -79,14 +80,14 @@ def settings_for(
         ValueError, TypeError: a field makes no sense, or there is none of its name.
     """
     photos, pixels = len(views), views.pixel_count
-    limit = max_splats or automatic_limit(
-        pixels, minutes if iterations is None else None, automatic_steps(photos)
-    )
+    threads = threads or available_threads()
+    timed = minutes if iterations is None else None
+    limit = max_splats or automatic_limit(pixels, timed, automatic_steps(photos))
+    batch = automatic_batch(timed, automatic_steps(photos), threads)
     if iterations is None:
         iterations = automatic_steps(photos) or (PAPER_ITERATIONS if minutes is None else None)
     automatic: dict[str, Any] = {
-        "opacity_reg": automatic_regularisation(photos),
-        "scale_reg": automatic_regularisation(photos),
+        "batch": batch,
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "max_aspect": automatic_max_aspect(photos),
@@ -95,12 +96,15 @@ def settings_for(
         "resolution": automatic_levels(
             [(view.camera.width, view.camera.height) for view in views.all],
             minutes,
-            threads or available_threads(),
+            threads,
         ),
     }
     if "background" not in fields:
         backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
         automatic["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
+    background = fields.get("background", automatic.get("background"))
+    weight = automatic_regularisation(photos, views.covered(background))
+    automatic |= {"opacity_reg": weight, "scale_reg": weight}
     settings = TrainSettings(
         iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields}
     )

@@ -20,6 +20,12 @@ from splatview.scene import Camera, InputError
 from splatview.scene.captures.capture import Photo
 from splatview.scene.captures.photos import area_averaged, wholly_valid
 
+PLAIN = 8
+"""Of 255: a colour that differs from the background by no more shows nothing else."""
+
+LOOKED_AT = 4
+"""Of so many rows and columns of a photo one is looked at for what it shows."""
+
 SAMPLED_PLACES = 3000
 """Points that say how many photos show a place."""
 
@@ -122,6 +128,21 @@ class TrainViews:
     def pixel_count(self) -> int:
         """Pixels of all photos together."""
         return sum(view.camera.width * view.camera.height for view in self._sizes[1])
+
+    def covered(self, background: tuple[float, float, float]) -> float:
+        """The share of the photos' pixels that show something else than the background, RGB from 0 to 1: by
+        their opacity where they have one. Pixels that are masked do not count; 1 where all are."""
+        colour, shown, counted = np.rint(np.array(background) * 255), 0, 0
+        for view in self.all:
+            sampled = slice(None, None, LOOKED_AT), slice(None, None, LOOKED_AT)
+            if view.alpha is not None:
+                found = view.alpha[sampled] > 0
+            else:
+                found = (np.abs(view.pixels[sampled] - colour) > PLAIN).any(axis=-1)
+            counts = np.ones_like(found) if view.mask is None else view.mask[sampled]
+            shown += int((found & counts).sum())
+            counted += int(counts.sum())
+        return shown / counted if counted else 1.0
 
     def photos_of_a_place(self, points: np.ndarray) -> float:
         """How many of the photos a place lies within, hidden there or not: the median over points (P, 3); all

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.strategies.mcmc import LEAST_REG, eased, need_of_reg
+from splatview.trainer.views import TrainView, TrainViews
 
 
 @pytest.mark.parametrize(
@@ -89,3 +91,23 @@ def test_a_resumed_run_is_regularised_alike(make_trainer, tmp_path: Path) -> Non
     assert resumed.need_of_reg == whole.need_of_reg < 1
     for ours, theirs in zip(resumed.splats.arrays, whole.splats.arrays, strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_photos_cover_what_differs_from_the_background(views: list[TrainView]) -> None:
+    (height, width), camera = (48, 64), replace(views[0].camera, width=64, height=48)
+    pixels = np.full((height, width, 3), 100, np.uint8)
+    pixels[:, : width // 4] = 108  # as compression and noise make of the same colour
+    pixels[: height // 2, width // 2 :] = (100, 100, 120)
+    grey, black = (100 / 255,) * 3, (0.0, 0.0, 0.0)
+    opaque = TrainView(camera, pixels)
+    assert TrainViews([opaque], 0).covered(grey) == pytest.approx(1 / 4)
+    assert TrainViews([opaque], 0).covered(black) == 1
+    mask = np.ones((height, width), np.bool_)
+    mask[height // 2 :] = False
+    assert TrainViews([replace(opaque, mask=mask)], 0).covered(grey) == pytest.approx(1 / 2)
+    assert TrainViews([replace(opaque, mask=mask & False)], 0).covered(grey) == 1
+    alpha = np.zeros((height, width), np.uint8)
+    alpha[:, : width // 2] = 1
+    cut_out = replace(opaque, alpha=alpha)
+    assert TrainViews([cut_out], 0).covered(black) == pytest.approx(1 / 2)
+    assert TrainViews([cut_out, opaque], 0).covered(black) == pytest.approx(3 / 4)

@@ -20,6 +20,7 @@ from safetensors.numpy import save_file
 
 from splatview.raster import Parameters
 from splatview.scene import InputError
+from splatview.scene.captures import load_capture
 from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.counters import StepReport
@@ -27,7 +28,9 @@ from splatview.trainer.evaluate import evaluate
 from splatview.trainer.functional import Visibility, dropout
 from splatview.trainer.run import RunProgress
 from splatview.trainer.settings import (
+    FEW_PHOTOS,
     TrainSettings,
+    automatic_batch,
     automatic_dropout,
     automatic_limit,
     automatic_max_aspect,
@@ -35,11 +38,12 @@ from splatview.trainer.settings import (
     automatic_sh_divisor,
     automatic_steps,
 )
+from splatview.trainer.setup import settings_for
 from splatview.trainer.splats import Splats
 from splatview.trainer.strategies.default import DefaultStrategy
 from splatview.trainer.strategies.mcmc import MCMCStrategy
 from splatview.trainer.trainer import Trainer
-from splatview.trainer.views import TrainView, TrainViews
+from splatview.trainer.views import TrainView, TrainViews, train_views
 
 make_settings: Any = TrainSettings
 
@@ -212,7 +216,7 @@ from splatview.scene import look_at
 from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.views import TrainView, TrainViews
+from splatview.trainer.views import TrainView, TrainViews, train_views
 from splatview.trainer.trainer import Trainer
 n = 20000
 p = Parameters(np.zeros((n, 3), np.float32), np.ones((n, 4), np.float32), np.zeros((n, 3), np.float32),
@@ -326,6 +330,7 @@ def test_few_photos_pull_harder_and_drop_more() -> None:
     assert automatic_regularisation(1) == automatic_regularisation(13) == 0.1
     assert automatic_regularisation(1000) == 0.01
     assert 0.01 < automatic_regularisation(84) < 0.1
+    assert automatic_regularisation(13, 0.2) == pytest.approx(0.02), "photos that are empty for the most part"
     assert (
         automatic_dropout(1)
         == automatic_dropout(13)
@@ -357,6 +362,19 @@ def test_the_automatic_limit_follows_pixels_and_minutes() -> None:
     assert automatic_limit(0) < automatic_limit(10**7) < automatic_limit(10**9)
     few = [automatic_limit(10**8, minutes, steps=6_000) for minutes in (1, 3, 10)]
     assert few[0] < few[1] == few[2], "more minutes than the steps take change nothing"
+
+
+def test_photos_of_a_step_are_as_many_as_there_is_time_for(capture_folder) -> None:
+    assert [automatic_batch(minutes, None, 2) for minutes in (None, 0.1, 1, 3, 10, 1e6)] == [1, 1, 1, 2, 4, 4]
+    assert [automatic_batch(3, None, threads) for threads in (1, 2, 8, 64)] == [1, 2, 4, 4]
+    assert automatic_batch(10, 6_000, 2) == 1
+    capture = load_capture(capture_folder)
+    few = train_views(capture.train)
+    many = TrainViews(few * (-(-FEW_PHOTOS // len(few))), 0)
+    assert settings_for(capture, many, minutes=10, threads=2).batch == 4
+    assert settings_for(capture, many, minutes=10, threads=2, batch=3).batch == 3
+    assert settings_for(capture, many, minutes=10, iterations=100, threads=2).batch == 1
+    assert settings_for(capture, TrainViews(few, 0), minutes=10, threads=2).batch == 1
 
 
 def test_dropped_splats_are_invisible_and_the_others_make_up_for_them() -> None:

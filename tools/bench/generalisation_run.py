@@ -23,13 +23,17 @@ STEP_MS, KILOPIXEL_MS, THOUSAND_SPLATS_MS = 1.0, 0.2, 0.35
 """What a step costs, by the size of its photo and the number of splats: a fit within 20 % to steps of 17 to
 100 ms that a quiet machine with two cores took for 45,000 to 93,000 px and 20,000 to 200,000 splats."""
 
+ONCE_MS = 0.1
+"""Of the price of a thousand splats, what a step pays once for all its photos: Adam and density control."""
+
 START = 3.0
 """Seconds before the first step."""
 
 
-def step_seconds(pixels: float, splats: int) -> float:
+def step_seconds(pixels: float, splats: int, photos: int = 1) -> float:
     """The price of a step by the model above: a run is as long on a busy machine as on a quiet one."""
-    return (STEP_MS + KILOPIXEL_MS * pixels / 1e3 + THOUSAND_SPLATS_MS * splats / 1e3) / 1e3
+    once = STEP_MS + ONCE_MS * splats / 1e3
+    return (once + photos * (KILOPIXEL_MS * pixels + (THOUSAND_SPLATS_MS - ONCE_MS) * splats) / 1e3) / 1e3
 
 
 def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> float | None:
@@ -182,7 +186,7 @@ def main() -> None:
         while not trainer.done and trainer.progress < options.until:
             known = hasattr(trainer, "downscale")
             factor = trainer.downscale if known else settings.downscale_at(trainer.progress)
-            used += step_seconds(pixels / factor**2, len(trainer.splats))
+            used += step_seconds(pixels / factor**2, len(trainer.splats), getattr(settings, "batch", 1))
             trainer.step(used)
             if options.curve and used - last >= options.curve:
                 curve.append((round(used, 1), trainer.counters.iteration, round(score().psnr, 3)))
@@ -215,6 +219,7 @@ def main() -> None:
         "haze": haze(options.name, options.made, held_out, trainer.splats.arrays, trainer.render_settings),
         "iteration": trainer.counters.iteration,
         "gaussians": len(trainer.splats),
+        "batch": getattr(settings, "batch", 1),
         "seconds": used,
         "exposure": trainer.exposures.is_on,
         "evidence": str(trainer.exposures.evidence),

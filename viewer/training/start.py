@@ -31,7 +31,13 @@ from splatview.trainer.memory import (
     sizes_of_files,
 )
 from splatview.trainer.photo_size import downscale_for
-from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_limit, automatic_steps
+from splatview.trainer.settings import (
+    LEAST_LIMIT,
+    TrainSettings,
+    automatic_batch,
+    automatic_limit,
+    automatic_steps,
+)
 from splatview.viewer import open as opening
 from splatview.viewer.camera import CameraLists
 from splatview.viewer.editing.session import Editing
@@ -252,18 +258,20 @@ class TrainingStart(Feature):
         bound = Bound(bytes=asked or self.machine.left, asked=asked is not None)
         sizes = self.found.sizes[self.downscale]
         points = self.found.points if self.found.points >= MIN_POINTS else 0
+        minutes = float(length[1]) if length else None
+        photos = round(len(self.found.photos) * sizes.trained / max(sizes.pixels, 1))
+        steps = automatic_steps(photos)
         memory = run_memory(
             sizes,
             resolution=TrainSettings.resolution,
+            batch=automatic_batch(minutes, steps, self.machine.threads),
             stereo=begins_by_stereo(TrainSettings.start, points=points, pixels=sizes.largest),
             machine=self.machine,
             window=True,
         )
         advice = "choose a smaller size, or {} of memory or more"
         check_fits(memory, bound, LEAST_LIMIT, f"These photos and {LEAST_LIMIT:,} splats", advice)
-        minutes = float(length[1]) if length else None
-        photos = round(len(self.found.photos) * sizes.trained / max(sizes.pixels, 1))
-        return plan(memory, bound, automatic_limit(sizes.trained, minutes, automatic_steps(photos)))
+        return plan(memory, bound, automatic_limit(sizes.trained, minutes, steps))
 
     def trained_size(self) -> tuple[int, int]:
         """Width and height of the largest photo as it is trained on, px."""
