@@ -248,10 +248,12 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["size"] += [state.form.downscale]
     ctx.combo_click("##Exposure/Not corrected")
     ctx.combo_click("##Outliers/Trained on")
+    ctx.combo_click("##Passing by/Stays")
     ctx.combo_click("##Sky/Always added")
     ctx.combo_click("##Background/White")
     hand.frames(3)
-    found["chosen"] = [state.form.exposure, state.form.outliers, state.form.sky, state.form.background]
+    form = state.form
+    found["chosen"] = [form.exposure, form.outliers, form.passing, form.sky, form.background]
     shoot(hand, "train_form")
     ctx.item_click("//Train on photos/Start training")
     hand.frames(3)
@@ -267,7 +269,8 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["bound"], found["peak"] = training.memory.bound.bytes, training.memory.peak
     found["told"] = any("memory: about" in message.text for message in app.messages)
     settings = training.status.settings
-    found["trained"] = [settings.exposure, settings.outliers, settings.sky, settings.background]
+    corrections = [settings.exposure, settings.outliers, settings.most_of_one, settings.sky]
+    found["trained"] = [*corrections, settings.background]
 
 
 def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:

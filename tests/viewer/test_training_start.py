@@ -55,9 +55,9 @@ def test_the_form_asks_for_corrections(app, capture):
     start.choose(capture)
     assert looked(app).found is not None
     start.form.exposure, start.form.sky, start.form.background = "on", "off", "white"
-    start.form.outliers = "off"
+    start.form.outliers, start.form.passing = "off", "stay"
     asked = " ".join(start.arguments())
-    assert "--outliers off" in asked
+    assert "--outliers off --passing stay" in asked
     assert "--exposure on" in asked and "--sky off" in asked and "--background 1,1,1" in asked
 
 

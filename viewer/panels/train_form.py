@@ -25,6 +25,7 @@ from splatview.viewer.training.start import (
     LENGTHS,
     MEMORIES,
     OUTLIERS,
+    PASSING,
     WHETHER,
     TrainingStart,
 )
@@ -242,6 +243,15 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     )
     if outliers is not None:
         form.outliers = outliers
+    passing = widgets.combo(
+        "Passing by",
+        form.passing,
+        PASSING,
+        "What one photo alone shows in front of what others do, as somebody who walks past.",
+        ("Taken out as training ends", "Stays"),
+    )
+    if passing is not None:
+        form.passing = passing
     sky = widgets.combo(
         "Sky",
         form.sky,

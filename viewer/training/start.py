@@ -76,6 +76,9 @@ WHETHER = ("auto", "on", "off")
 OUTLIERS = ("auto", "off")
 """The same of photos that disagree with the others."""
 
+PASSING = ("auto", "stay")
+"""The same of splats that one photo alone shows in front of what others do."""
+
 DOWNSCALES = (1, 2, 4, 8)
 """What photos may be made smaller by each way, where the user wants something else than what time allows."""
 
@@ -165,6 +168,8 @@ class TrainingForm:
     """One of WHETHER, as `sky` is."""
     outliers: str = OUTLIERS[0]
     """One of OUTLIERS."""
+    passing: str = PASSING[0]
+    """One of PASSING."""
     sky: str = WHETHER[0]
     background: str = next(iter(BACKGROUNDS))
     """One of BACKGROUNDS."""
@@ -235,7 +240,7 @@ class TrainingStart(Feature):
             *LENGTHS[self.form.length],
             *("--downscale", str(self.form.downscale or "auto")),
             *("--exposure", self.form.exposure, "--sky", self.form.sky),
-            *("--outliers", self.form.outliers),
+            *("--outliers", self.form.outliers, "--passing", self.form.passing),
             *("--background", BACKGROUNDS[self.form.background]),
             *(() if self.form.memory == AUTOMATIC else ("--memory", self.form.memory)),
         ]
