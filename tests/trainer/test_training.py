@@ -365,13 +365,13 @@ def test_the_automatic_limit_follows_pixels_and_minutes() -> None:
 
 
 def test_photos_of_a_step_are_as_many_as_there_is_time_for(capture_folder) -> None:
-    assert [automatic_batch(minutes, None, 2) for minutes in (None, 0.1, 1, 3, 10, 1e6)] == [1, 1, 1, 2, 4, 4]
-    assert [automatic_batch(3, None, threads) for threads in (1, 2, 8, 64)] == [1, 2, 4, 4]
+    assert [automatic_batch(minutes, None, 2) for minutes in (None, 0.1, 1, 3, 10, 1e6)] == [1, 1, 1, 2, 2, 2]
+    assert [automatic_batch(3, None, threads) for threads in (1, 2, 8, 64)] == [1, 2, 2, 2]
     assert automatic_batch(10, 6_000, 2) == 1
     capture = load_capture(capture_folder)
     few = train_views(capture.train)
     many = TrainViews(few * (-(-FEW_PHOTOS // len(few))), 0)
-    assert settings_for(capture, many, minutes=10, threads=2).batch == 4
+    assert settings_for(capture, many, minutes=10, threads=2).batch == 2
     assert settings_for(capture, many, minutes=10, threads=2, batch=3).batch == 3
     assert settings_for(capture, many, minutes=10, iterations=100, threads=2).batch == 1
     assert settings_for(capture, TrainViews(few, 0), minutes=10, threads=2).batch == 1
