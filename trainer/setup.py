@@ -83,11 +83,17 @@ def settings_for(
     threads = threads or available_threads()
     timed = minutes if iterations is None else None
     limit = max_splats or automatic_limit(pixels, timed, automatic_steps(photos))
+    if "background" not in fields:
+        backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
+        fields["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
+    weight = automatic_regularisation(photos, views.covered(fields["background"]))
     batch = automatic_batch(timed, automatic_steps(photos), threads)
     if iterations is None:
         iterations = automatic_steps(photos) or (PAPER_ITERATIONS if minutes is None else None)
     automatic: dict[str, Any] = {
         "batch": batch,
+        "opacity_reg": weight,
+        "scale_reg": weight,
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "max_aspect": automatic_max_aspect(photos),
@@ -99,12 +105,6 @@ def settings_for(
             threads,
         ),
     }
-    if "background" not in fields:
-        backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
-        automatic["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
-    background = fields.get("background", automatic.get("background"))
-    weight = automatic_regularisation(photos, views.covered(background))
-    automatic |= {"opacity_reg": weight, "scale_reg": weight}
     settings = TrainSettings(
         iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields}
     )

@@ -98,7 +98,7 @@ def test_photos_cover_what_differs_from_the_background(views: list[TrainView]) -
     pixels = np.full((height, width, 3), 100, np.uint8)
     pixels[:, : width // 4] = 108  # as compression and noise make of the same colour
     pixels[: height // 2, width // 2 :] = (100, 100, 120)
-    grey, black = (100 / 255,) * 3, (0.0, 0.0, 0.0)
+    grey, black = (100 / 255, 100 / 255, 100 / 255), (0.0, 0.0, 0.0)
     opaque = TrainView(camera, pixels)
     assert TrainViews([opaque], 0).covered(grey) == pytest.approx(1 / 4)
     assert TrainViews([opaque], 0).covered(black) == 1
