@@ -216,7 +216,7 @@ from splatview.scene import look_at
 from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.views import TrainView, TrainViews, train_views
+from splatview.trainer.views import TrainView, TrainViews
 from splatview.trainer.trainer import Trainer
 n = 20000
 p = Parameters(np.zeros((n, 3), np.float32), np.ones((n, 4), np.float32), np.zeros((n, 3), np.float32),
