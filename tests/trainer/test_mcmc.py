@@ -12,7 +12,15 @@ from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.functional import Visibility
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats
-from splatview.trainer.strategies.mcmc import DEAD, NOISE_EXTENT, MCMCStrategy, shared
+from splatview.trainer.strategies.mcmc import (
+    DEAD,
+    LEAST_SHARED,
+    NOISE_EXTENT,
+    MCMCStrategy,
+    occurrences,
+    room,
+    shared,
+)
 from splatview.trainer.strategies.ops import opacities_of
 
 
@@ -91,6 +99,33 @@ def test_the_number_grows_by_even_factors_to_the_limit() -> None:
     assert len(scene.refine(0.3)) == 200, "no more than twice as many at once"
     assert len(scene.refine(0.3)) == 400
     assert Scene([0.5], max_splats=10).strategy.count_at(0.9, 100) == 100
+
+
+def test_a_splat_is_shared_as_far_as_its_copies_are_seen() -> None:
+    """Fainter copies would be dead soon, and moved onto others, which they would make fainter in turn."""
+    opacities = [0.9] * 3 + [0.3] * 5 + [0.1] * 5 + [1.5 * LEAST_SHARED] * 50 + [0.001] * 50
+    scene = Scene(opacities, max_splats=10_000, refine_from=0.1, grow_for=0.4)
+    before = scene.splats.snapshot()
+    faint = slice(13, 63)
+    for _ in range(20):
+        scene.refine(0.9)
+    refined = scene.splats.arrays
+    living = np.flatnonzero(opacities_of(refined) > DEAD)
+    assert opacities_of(refined)[living].min() >= LEAST_SHARED * (1 - 1e-4)
+    np.testing.assert_array_equal(refined.opacity_logits[faint], before.opacity_logits[faint])
+    assert room(opacities_of(refined)).max() == 0
+    assert 100 < len(living) <= 50 - np.log1p(-np.array(opacities[:13])).sum() / -math.log1p(-LEAST_SHARED)
+    # Copies together are as opaque as the splat was.
+    absorbed = [-np.log1p(-opacities_of(arrays)).sum() for arrays in (before, refined)]
+    assert absorbed[1] == pytest.approx(absorbed[0], rel=1e-2)
+
+
+def test_room_of_splats_and_what_occurs_before() -> None:
+    two, three = (1 - (1 - LEAST_SHARED) ** copies for copies in (2, 3))
+    opacities = np.array([0.0, LEAST_SHARED, two - 1e-6, two + 1e-6, three + 1e-6, 1.0])
+    assert room(opacities).tolist() == [0, 0, 0, 1, 2, room(np.array([1 - 1e-6]))[0]]
+    assert occurrences(np.array([3, 1, 3, 3, 1, 0])).tolist() == [0, 0, 1, 2, 1, 0]
+    assert occurrences(np.array([], np.int64)).tolist() == []
 
 
 def test_a_scene_of_the_dead_is_left_alone() -> None:

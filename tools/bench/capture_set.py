@@ -180,8 +180,13 @@ def front(scene_file: str, count: int, *, size: int = 240) -> Callable[[Path, Pa
     return make
 
 
-def demo(kind: Literal["drift", "hard", "lens"], count: int = 40) -> Callable[[Path, Path], None]:
-    """The demo's landscape: exposures that drift; noise, motion blur and bad masks; through a lens."""
+NIGHT = 0.12
+"""Of the light of day."""
+
+
+def demo(kind: Literal["drift", "hard", "lens", "night"], count: int = 40) -> Callable[[Path, Path], None]:
+    """The demo's landscape: exposures that drift; noise, motion blur and bad masks; through a lens; at night,
+    with noise."""
 
     def make(data: Path, folder: Path) -> None:
         scene = demo_truth(DEMO_SPLATS)
@@ -203,6 +208,8 @@ def demo(kind: Literal["drift", "hard", "lens"], count: int = 40) -> Callable[[P
                 top, left = rng.integers(0, 150), rng.integers(0, 200)
                 mask[top : top + 40, left : left + 50] = False
                 masks.append(mask)
+            if kind == "night":
+                picture = picture * NIGHT + rng.normal(scale=0.01, size=picture.shape)
             pictures.append((np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8))
         capture = capture_from(pictures, cameras, surface_points(scene, 1))
         write(capture, folder)
@@ -259,13 +266,17 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "skull RGBA 24": ("judge", objects("skull.ply", 24, points=True)),
     "guitar white 24": ("judge", objects("guitar/guitar.compressed.ply", 24, points=True, before=1.0)),
     "playbot white 60": ("judge", objects("playbot_lod0.ply", 60, points=False, before=1.0)),
+    "spot RGBA 60": ("judge", objects("spot_10k.splat", 60, points=False)),
+    "biker white 60": ("judge", objects("biker/biker.compressed.ply", 60, points=False, before=1.0)),
     "playbot close 80": ("choose", objects("playbot_lod0.ply", 80, points=True, cameras_of=closeups)),
     "skull close 80": ("judge", objects("skull.ply", 80, points=True, cameras_of=closeups)),
     "train front 30": ("judge", front("train-1000.ply", 30)),
     "biker front 24": ("choose", front("biker/biker.compressed.ply", 24)),
+    "guitar front 36": ("judge", front("guitar/guitar.compressed.ply", 36)),
     "demo drift 40": ("choose", demo("drift")),
     "demo hard 40": ("judge", demo("hard")),
     "demo lens 40": ("judge", demo("lens")),
+    "demo night 40": ("judge", demo("night")),
     "demo sky 40": ("choose", outdoors(sky_scenes.demo_outdoors, 40)),
     "biker sky 30": ("judge", outdoors(sky_scenes.biker_outdoors, 30)),
     "biker room 40": ("choose", outdoors(sky_scenes.biker_indoors, 40)),

@@ -42,6 +42,9 @@ the run, not until half of it, changes nothing: 29.78, 28.51, 38.51 and 33.54 dB
 MOST_COPIES = 51
 """A splat is shared among at most so many."""
 
+LEAST_SHARED = 0.04
+"""Opacity that each copy of a shared splat has at least."""
+
 MOST_GROWTH = 2
 """The number of splats grows at most by this factor at once: in runs of a hundred steps, with one or two
 refinements, many faint copies of each splat have no time left to become different."""
@@ -191,6 +194,7 @@ class MCMCStrategy(Strategy[MCMCSettings]):
             return
         if len(dead):
             sources, copies = self._draw(parameters, opacities, alive, len(dead), rng)
+            dead = dead[: len(sources)]  # for others there is no room: they are tried again
             for array, values in zip(parameters, copies, strict=True):
                 array[sources] = values
                 array[dead] = values
@@ -226,7 +230,8 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         count: int,
         rng: np.random.Generator,
     ) -> tuple[np.ndarray, Parameters]:
-        """Draws `count` candidates by opacity: indices (count,), and what each and its copies become.
+        """Draws `count` candidates by opacity, and leaves out for what they have no room: indices (K,), and
+        what each and its copies become. See `room`.
 
         Dropped, a minute of the bench at half its size on `banana` and `biker front 24`, which score 28.71
         and 42.86 dB: to draw by error, as the rms gradient of the colour (27.05, 42.82), that times the
@@ -241,9 +246,10 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         """
         weights = opacities[candidates]
         drawn = candidates[rng.choice(len(candidates), size=count, p=weights / weights.sum())]
+        drawn = drawn[occurrences(drawn) < room(opacities[drawn])]
         copies = np.minimum(np.bincount(drawn, minlength=len(opacities))[drawn] + 1, MOST_COPIES)
         opacity, shrink = shared(opacities[drawn], copies)
-        opacity = np.clip(opacity, DEAD, 1 - 1e-6)
+        opacity = np.minimum(opacity, 1 - 1e-6)
         return drawn, Parameters(
             means=parameters.means[drawn],
             quats=parameters.quats[drawn],
@@ -251,6 +257,22 @@ class MCMCStrategy(Strategy[MCMCSettings]):
             opacity_logits=np.log(opacity / (1 - opacity)).astype(np.float32),
             sh=parameters.sh[drawn],
         )
+
+
+def room(opacities: np.ndarray) -> np.ndarray:
+    """How many copies splats of these opacities (N,) can have beside themselves, so that none has less than
+    `LEAST_SHARED`: (N,) float64, 0 and more."""
+    most = np.log1p(-np.minimum(opacities, 1 - 1e-6)) / math.log1p(-LEAST_SHARED)
+    return np.maximum(np.floor(most) - 1, 0.0)
+
+
+def occurrences(values: np.ndarray) -> np.ndarray:
+    """How often each of `values` (N,) has occurred before: (N,)."""
+    order = np.argsort(values, kind="stable")
+    begins = np.flatnonzero(np.diff(values[order], prepend=-1))
+    before = np.empty(len(values), np.int64)
+    before[order] = np.arange(len(values)) - np.repeat(begins, np.diff(begins, append=len(values)))
+    return before
 
 
 def shared(opacities: np.ndarray, copies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
