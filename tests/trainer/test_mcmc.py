@@ -105,7 +105,7 @@ def test_a_splat_is_shared_as_far_as_its_copies_are_seen() -> None:
     """Fainter copies would be dead soon, and moved onto others, which they would make fainter in turn."""
     opacities = [0.9] * 3 + [0.3] * 5 + [0.1] * 5 + [1.5 * LEAST_SHARED] * 50 + [0.001] * 50
     scene = Scene(opacities, max_splats=10_000, refine_from=0.1, grow_for=0.4)
-    before = scene.splats.snapshot()
+    before = Parameters(*(array.copy() for array in scene.splats.arrays))
     faint = slice(13, 63)
     for _ in range(20):
         scene.refine(0.9)
