@@ -73,6 +73,9 @@ RECORD = 16
 
 CONIC_SCALE = math.sqrt(HALF_LOG2_E)
 
+CACHE_LINE = 64
+"""Bytes."""
+
 MOST_ALPHA = 1 - 2.0**-24
 """Alpha that LOG2_DROP takes in place of 1."""
 
@@ -212,8 +215,9 @@ def load_sh(flat_sh, starts, count, coefficients):
 def ask_for_sh(flat_sh, start, count):
     """Asks for the memory of the first `count` numbers of a splat's row of SH, which begins at `start`: that
     of the next group, while this one is worked on. Without, its rows are waited for."""
-    for at in range(0, count, LANES):
+    for at in range(0, count, CACHE_LINE // flat_sh.itemsize):
         prefetch(flat_sh, start + at)
+    prefetch(flat_sh, start + count - 1)
 
 
 @inline
@@ -384,14 +388,15 @@ def project_group(view, optics, surfels, lanes, first):
     drawn = keep_if_at_least(drawn, opacity, fill(opacity, view.alpha_cut))
 
     inverse_yy = one / yy
-    a, c = math.sqrt(yy / det), math.sqrt(inverse_yy)
+    root_yy = math.sqrt(yy)
+    a, c = math.sqrt(yy / det), root_yy * inverse_yy
     b = -(xy * inverse_yy * a)
     drawn = if_three_finite(drawn, a, b, c)
     x, y = image_point(lens, parallel, view, tx, ty, tz)
     drawn = if_finite(if_finite(drawn, x), y)
     log2_opacity = log2_lanes(opacity)
     extent = math.sqrt(squared_extent(view, log2_opacity))  # apart, as the product may overflow
-    rx, ry = extent * math.sqrt(xx), extent * math.sqrt(yy)
+    rx, ry = extent * math.sqrt(xx), extent * root_yy
     drawn = keep_if_at_least(drawn, x + rx, fill(x, 0.5))
     drawn = keep_if_at_least(drawn, y + ry, fill(y, 0.5))
     drawn = keep_if_at_least(drawn, fill(x, view.width - 0.5), x - rx)

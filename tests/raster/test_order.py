@@ -19,7 +19,8 @@ from splatview.scene import Gaussians, RenderSettings, look_at
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("bits", [1, 8, 11, 12, 23, 32])
 @pytest.mark.parametrize("count", [0, 1, 2, 100, 40_000])
-def test_radix_sort_is_stable(count, bits, threads):
+def test_radix_sort_is_stable(count, bits, threads, monkeypatch):
+    monkeypatch.setattr("splatview.raster.sort.PARALLEL_FROM", 1000)
     keys = np.random.default_rng(count).integers(0, 1 << bits, count).astype(np.uint32)
     values = np.arange(count, dtype=np.int32)
     expected = np.argsort(keys, kind="stable")
