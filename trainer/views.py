@@ -91,6 +91,17 @@ def train_views(photos: Sequence[Photo]) -> list[TrainView]:
     return views
 
 
+def opacities(
+    view: TrainView, background: tuple[float, float, float], sampled: tuple[slice, ...] = (slice(None),)
+) -> np.ndarray:
+    """(h, w) uint8 of the pixels `sampled`: a photo's opacity; where it has none, 0 where a pixel is the
+    background, RGB from 0 to 1, and 255 elsewhere."""
+    if view.alpha is not None:
+        return view.alpha[sampled]
+    away = np.abs(view.pixels[sampled] - np.rint(np.array(background) * 255))
+    return np.where((away > PLAIN).any(axis=-1), np.uint8(255), np.uint8(0))
+
+
 class TrainViews:
     """The photos of a run and their smaller versions, and in which order steps take them."""
 
@@ -132,13 +143,10 @@ class TrainViews:
     def covered(self, background: tuple[float, float, float]) -> float:
         """The share of the photos' pixels that show something else than the background, RGB from 0 to 1: by
         their opacity where they have one. Pixels that are masked do not count; 1 where all are."""
-        colour, shown, counted = np.rint(np.array(background) * 255), 0, 0
+        shown, counted = 0, 0
         for view in self.all:
             sampled = slice(None, None, LOOKED_AT), slice(None, None, LOOKED_AT)
-            if view.alpha is not None:
-                found = view.alpha[sampled] > 0
-            else:
-                found = (np.abs(view.pixels[sampled] - colour) > PLAIN).any(axis=-1)
+            found = opacities(view, background, sampled) > 0
             counts = np.ones_like(found) if view.mask is None else view.mask[sampled]
             shown += int((found & counts).sum())
             counted += int(counts.sum())

@@ -153,6 +153,24 @@ def test_evidence_leaves_out_what_says_nothing() -> None:
     assert measured_evidence(points, see_through) == nothing
 
 
+def test_what_lies_beside_the_bare_background_says_nothing() -> None:
+    """Lights on black: how much black is mixed in by the blur differs from photo to photo."""
+    points, photos = wall(np.ones(8))
+    grid = (np.arange(72)[:, None] % 9 < 3) & (np.arange(96) % 9 < 3)  # in the image, so another wall in each
+    for background in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.5)):
+        bare = np.rint(np.array(background) * 255).astype(np.uint8)
+        lights = [replace(photo, pixels=np.where(grid[..., None], photo.pixels, bare)) for photo in photos]
+        assert measured_evidence(points, lights, background) == Evidence(0.0, np.inf)
+    # Half of each photo shows the wall, up to where there is nothing.
+    gains = np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1, -0.15, 0.0])
+    points, photos = wall(gains)
+    left = np.arange(96)[None, :, None] < 48
+    halves = [replace(photo, pixels=np.where(left, photo.pixels, np.uint8(0))) for photo in photos]
+    evidence = measured_evidence(points, halves)
+    assert evidence.spread == pytest.approx(np.std(np.log(gains)), rel=0.1)
+    assert evidence.calls_for_correction
+
+
 def test_the_first_gain_is_that_of_least_squares(views) -> None:
     picture = np.random.default_rng(0).uniform(0.1, 0.5, size=(40, 48, 3))
     photo = replace(views[0], pixels=(picture * 1.3 * 255 + 0.5).astype(np.uint8))
