@@ -20,8 +20,9 @@ captures had been seen, which differ by 17 to 55 %, but by half as much again an
 another: no capture has judged that part, and one split of three of `playbot close 80` passes it. `train
 front 30`, lights on black, differed by 16 % (known to 0.8 %) until places beside the bare background were
 left out, with which blurred colours mix: 45.12 dB after three minutes where it was on. That changes the
-evidence of `miku`'s parts, `banana`, `fox` and `demo drift 40` by 0.1 % at most. `miku 12 far` with 24,000 splats has 23.76 dB after a minute and 24.03 after three where it is on, 22.96 and 23.40
-where not, both measured as below.
+evidence of `miku`'s parts, `banana`, `fox` and `demo drift 40` by 0.1 % at most. `miku 12 far` with 24,000
+splats has 23.76 dB after a minute and 24.03 after three where it is on, 22.96 and 23.40 where not, both
+measured as below.
 
 Dropped: to compare photos with the scene as it stands, which takes shine for exposure (11 % on `playbot RGBA
 18`, known to 2.6 %) and has learnt exposures itself where photos are few (3 % on `miku 12 far`).
