@@ -161,6 +161,9 @@ def test_what_lies_beside_the_bare_background_says_nothing() -> None:
         bare = np.rint(np.array(background) * 255).astype(np.uint8)
         lights = [replace(photo, pixels=np.where(grid[..., None], photo.pixels, bare)) for photo in photos]
         assert measured_evidence(points, lights, background) == Evidence(0.0, np.inf)
+        # A backdrop's alpha says only where the photo is surely empty.
+        backdrop = [replace(view, alpha=np.full((72, 96), 255, np.uint8), alpha_known=0) for view in lights]
+        assert measured_evidence(points, backdrop, background) == Evidence(0.0, np.inf)
     # Half of each photo shows the wall, up to where there is nothing.
     gains = np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1, -0.15, 0.0])
     points, photos = wall(gains)

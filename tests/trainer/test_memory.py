@@ -144,7 +144,8 @@ def test_a_run_stays_within_its_bound_when_resumed_too(
     most = lines[0]["memory"]["splats"]
     assert 100 <= most < 500 and lines[0]["memory"]["bytes"] <= lines[0]["memory"]["bound"]
     counts = [line["gaussians"] for line in lines if "gaussians" in line]
-    assert max(counts) == most, "it grows as far as it may, and no farther"
+    # Up to some that had no splat to share with, see `LEAST_SHARED`.
+    assert 0.9 * most < max(counts) <= most, "it grows as far as it may, and no farther"
     printed = capsys.readouterr().err
     assert printed.count("memory: about") == 1 and f"100,000 splats become {most:,} at most" in printed
 
