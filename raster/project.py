@@ -73,9 +73,6 @@ RECORD = 16
 
 CONIC_SCALE = math.sqrt(HALF_LOG2_E)
 
-CACHE_LINE = 64
-"""Bytes."""
-
 MOST_ALPHA = 1 - 2.0**-24
 """Alpha that LOG2_DROP takes in place of 1."""
 
@@ -215,9 +212,8 @@ def load_sh(flat_sh, starts, count, coefficients):
 def ask_for_sh(flat_sh, start, count):
     """Asks for the memory of the first `count` numbers of a splat's row of SH, which begins at `start`: that
     of the next group, while this one is worked on. Without, its rows are waited for."""
-    for at in range(0, count, CACHE_LINE // flat_sh.itemsize):
+    for at in range(0, count, LANES):
         prefetch(flat_sh, start + at)
-    prefetch(flat_sh, start + count - 1)
 
 
 @inline
