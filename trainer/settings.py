@@ -94,7 +94,11 @@ def automatic_regularisation(photos: int, covered: float = 1.0) -> float:
     (6 %) 38.06 and 41.41 after three. Judged, a minute: `guitar RGBA 24` (16 %) 39.57 and 40.24, `playbot
     RGBA 18` (36 %) 30.35 and 30.88, `skull RGBA 24` (46 %) 27.79 and 27.78, `skull RGBA 100` 32.71 and 32.56.
 
-    Dropped: fewer splats for it, too. One for 8 and 4 pixels that show something, and for 8 of all, three
+    Since copies are shared only so far (`strategies.mcmc.LEAST_SHARED`) it still takes both: by the number of
+    photos alone and by both `biker front 24` scores 41.31 and 42.92 dB, `guitar RGBA 24` 39.69 and 40.31 after
+    a minute, `train front 30` 44.07 and 45.60 after three.
+
+    Dropped, before that: fewer splats for it, too. One for 8 and 4 pixels that show something, and for 8 of all, three
     minutes: `biker front 24` 43.40, 44.07 and 44.55 dB, `train front 30` (exposures off) 45.38, 43.97 and
     41.97, which has 1,000 splats and 45.63 after one minute; a minute by 8, `guitar RGBA 24` 40.05, `playbot
     RGBA 18` 30.82. Dropped, too: by the least loss so far in place of the present one in `FULL_REG_LOSS`,
