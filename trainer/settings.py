@@ -95,14 +95,14 @@ def automatic_regularisation(photos: int, covered: float = 1.0) -> float:
     RGBA 18` (36 %) 30.35 and 30.88, `skull RGBA 24` (46 %) 27.79 and 27.78, `skull RGBA 100` 32.71 and 32.56.
 
     Since copies are shared only so far (`strategies.mcmc.LEAST_SHARED`) it still takes both: by the number of
-    photos alone and by both `biker front 24` scores 41.31 and 42.92 dB, `guitar RGBA 24` 39.69 and 40.31 after
-    a minute, `train front 30` 44.07 and 45.60 after three.
+    photos alone and by both `biker front 24` scores 41.31 and 42.92 dB, `guitar RGBA 24` 39.69 and 40.31
+    after a minute, `train front 30` 44.07 and 45.60 after three.
 
-    Dropped, before that: fewer splats for it, too. One for 8 and 4 pixels that show something, and for 8 of all, three
-    minutes: `biker front 24` 43.40, 44.07 and 44.55 dB, `train front 30` (exposures off) 45.38, 43.97 and
-    41.97, which has 1,000 splats and 45.63 after one minute; a minute by 8, `guitar RGBA 24` 40.05, `playbot
-    RGBA 18` 30.82. Dropped, too: by the least loss so far in place of the present one in `FULL_REG_LOSS`,
-    which rises there for a while, 41.81.
+    Dropped, before that: fewer splats for it, too. One for 8 and 4 pixels that show something, and for 8 of
+    all, three minutes: `biker front 24` 43.40, 44.07 and 44.55 dB, `train front 30` (exposures off) 45.38,
+    43.97 and 41.97, which has 1,000 splats and 45.63 after one minute; a minute by 8, `guitar RGBA 24` 40.05,
+    `playbot RGBA 18` 30.82. Dropped, too: by the least loss so far in place of the present one in
+    `FULL_REG_LOSS`, which rose there for a while, 41.81.
 
     Dropped: to go by how many photos show the same place instead of how many there are. `playbot close 80` of
     the bench (53 to train on, each of which shows a part) scores 26.50 dB by its number of photos, 26.31 with
