@@ -48,8 +48,8 @@ LEAST_SHARED = 0.04
 raise what is less than `DEAD` to that, so that the picture changes; such copies die, are moved onto others
 and make these fainter in turn. Three minutes of the bench, one run each. Chosen, with no such limit, 0.01,
 0.02, 0.04 and 0.08: `train front 30` 40.61, 43.2, 44.0, 45.12 and 45.56 dB (the first and the fourth with
-exposures learnt; 0.04 without has 45.60), `biker front 24` 44.55, none, 44.56, 44.55 and 44.60 (38,302 splats are left
-without, 40,144 with 0.04, 35,075 with 0.08). Judged: see sharing.json."""
+exposures learnt; 0.04 without has 45.60), `biker front 24` 44.55, none, 44.56, 44.55 and 44.60 (38,302
+splats are left without, 40,144 with 0.04, 35,075 with 0.08). Judged: see sharing.json."""
 
 MOST_GROWTH = 2
 """The number of splats grows at most by this factor at once: in runs of a hundred steps, with one or two
