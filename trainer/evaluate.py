@@ -11,7 +11,7 @@ from PIL import Image
 from splatview.measure.metrics import psnr
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
-from splatview.trainer.exposure import fitted_by_halves
+from splatview.trainer.exposure import fitted_by_tiles
 from splatview.trainer.loss import mean_ssim
 from splatview.trainer.views import TrainView
 
@@ -52,13 +52,13 @@ def pictures(
 ) -> Iterator[np.ndarray]:
     """What the scene shows of each photo, in turn: (H, W, 3), float32, not clipped.
 
-    `exposures_differ`: each half of a picture is at the exposure that fits the other half, see `exposure`;
+    `exposures_differ`: each tile of a picture is at the exposure that fits its neighbours, see `exposure`;
     else pictures are as they are.
     """
     workspace = Workspace()
     for view in views:
         picture = draw_frame(parameters, view.camera, settings, workspace, threads=threads).image[..., :3]
-        yield fitted_by_halves(picture, view) if exposures_differ else picture
+        yield fitted_by_tiles(picture, view) if exposures_differ else picture
 
 
 def evaluation_of(

@@ -31,10 +31,12 @@ Dropped: to learn vignetting too. After a minute photos are darker than the scen
 (`banana`, 0.2 % standard error) and 0.9 % (`miku`, 0.4 %), a third of what would call for a gain.
 
 A held-out photo has an exposure too, which nobody has trained. Where the correction is on it is measured
-after a fit to most of its pixels: the left half with the gain and offset of the right half, and the right
-half with those of the left (after the practice of Martin-Brualla et al. 2021, NeRF in the Wild, who fit on
-the left half and measure the right). No pixel is measured by a fit that has seen it. Where the correction is
-off, pictures are measured as they are.
+after a fit to most of its pixels: those of the white tiles of a chessboard with the gain and offset of the
+black ones, and the other way round, so that no pixel is measured by a fit that has seen it. Where the
+correction is off, pictures are measured as they are. Dropped: the left half with the exposure of the right
+one (Martin-Brualla et al. 2021, NeRF in the Wild), which is less true the less the halves show the same: two
+splits of `miku 20 near` score 26.84 and 28.54 dB so, by tiles 27.77 and 30.11, and by a fit to all pixels,
+which has six numbers to choose for 90,000 pixels, 27.79 and 30.12.
 """
 
 from __future__ import annotations
@@ -97,6 +99,9 @@ LARGEST_LOG_GAIN = 1.5
 GREY_GAINS = np.exp(np.linspace(-LARGEST_LOG_GAIN, LARGEST_LOG_GAIN, 61))[
     np.argsort(np.abs(np.arange(61) - 30))
 ]
+TILES = 8
+"""Along a photo's longer side, see `fitted_by_tiles`."""
+
 MOST_FITTED, SAME, FITS = 20_000, 0.1, 4
 """How the exposure of a held-out photo is found: the gain by which most pixels differ by less than `SAME`, of
 1, of so many, the one nearest to 1 first; and lines for the colours of such pixels, time and again. One photo
@@ -342,13 +347,14 @@ def line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     return gain, float(y.mean() - gain * x.mean())
 
 
-def fitted_by_halves(picture: np.ndarray, view: TrainView) -> np.ndarray:
-    """The picture (H, W, 3) with each half at the exposure that fits the other half best."""
-    middle = picture.shape[1] // 2
-    halves = slice(None, middle), slice(middle, None)
+def fitted_by_tiles(picture: np.ndarray, view: TrainView) -> np.ndarray:
+    """The picture (H, W, 3) as a chessboard of tiles: white ones at the exposure that fits black ones best,
+    and the other way round."""
+    height, width = picture.shape[:2]
+    side = -(-max(height, width) // TILES)
+    white = np.add.outer(np.arange(height) // side, np.arange(width) // side) % 2 == 0
     out = np.empty_like(picture)
-    for here, there in (halves, halves[::-1]):
-        mask = None if view.mask is None else view.mask[:, there]
-        gain, offset = fitted(picture[:, there], view.pixels[:, there], mask)
-        out[:, here] = picture[:, here] * gain.astype(picture.dtype) + offset.astype(picture.dtype)
+    for here in (white, ~white):
+        gain, offset = fitted(picture, view.pixels, ~here if view.mask is None else ~here & view.mask)
+        out[here] = picture[here] * gain.astype(picture.dtype) + offset.astype(picture.dtype)
     return out

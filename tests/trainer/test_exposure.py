@@ -13,7 +13,7 @@ import torch
 from splatview.scene.camera import look_at
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.evaluate import evaluate
-from splatview.trainer.exposure import Evidence, fitted, fitted_by_halves, log_gain, measured_evidence
+from splatview.trainer.exposure import Evidence, fitted, fitted_by_tiles, log_gain, measured_evidence
 from splatview.trainer.functional import expose, photo_loss
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.trainer import Trainer
@@ -185,7 +185,7 @@ def test_the_first_gain_is_that_of_least_squares(views) -> None:
     np.testing.assert_allclose(log_gain(wrong_outside, masked), np.log(1.3), atol=0.01)
 
 
-def test_halves_are_measured_by_fits_that_have_not_seen_them(views) -> None:
+def test_tiles_are_measured_by_fits_that_have_not_seen_them(views) -> None:
     rng = np.random.default_rng(0)
     picture = rng.uniform(0.2, 0.6, size=(40, 48, 3))
     pixels = ((picture * [1.2, 1.0, 0.8] + 0.05) * 255 + 0.5).astype(np.uint8)
@@ -193,12 +193,17 @@ def test_halves_are_measured_by_fits_that_have_not_seen_them(views) -> None:
     gain, offset = fitted(picture, pixels)
     np.testing.assert_allclose(gain, [1.2, 1.0, 0.8], atol=0.01)
     np.testing.assert_allclose(offset, 0.05, atol=0.01)
-    np.testing.assert_allclose(fitted_by_halves(picture, view), pixels / 255, atol=0.01)
-    # What is wrong with the left half is not mended by a fit to the left half.
-    darker = picture.copy()
-    darker[:, :24] *= 0.5
-    out = fitted_by_halves(darker, view)
-    assert np.abs(out[:, :24] - pixels[:, :24] / 255).mean() > 0.1
+    np.testing.assert_allclose(fitted_by_tiles(picture, view), pixels / 255, atol=0.01)
+    # What is wrong with the tiles of one colour is not mended by a fit to them.
+    white = np.add.outer(np.arange(40) // 6, np.arange(48) // 6) % 2 == 0
+    darker = np.where(white[..., None], 0.5 * picture, picture)
+    out = fitted_by_tiles(darker, view)
+    assert np.abs(out - pixels / 255)[white].mean() > 0.1
+    assert np.abs(out - pixels / 255)[~white].mean() > 0.1  # by the exposure of darker ones
+    # What is masked takes no part in any fit.
+    masked = fitted_by_tiles(darker, replace(view, mask=~white))
+    np.testing.assert_allclose(masked[white], out[white], atol=1e-12)
+    np.testing.assert_array_equal(masked[~white], darker[~white])
     # Something that the picture does not show, on most of a half, says nothing about the rest of it.
     covered = pixels.copy()
     covered[:25] = 0

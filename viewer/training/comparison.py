@@ -11,7 +11,7 @@ import numpy as np
 from splatview import raster
 from splatview.scene import Gaussians, RenderSettings
 from splatview.trainer.evaluate import masked_psnr
-from splatview.trainer.exposure import fitted_by_halves
+from splatview.trainer.exposure import fitted_by_tiles
 from splatview.trainer.views import TrainView
 from splatview.viewer.tasks import LatestTask
 
@@ -72,7 +72,7 @@ def compare(
     else:
         picture = raster.render(request.gaussians, shot.camera, request.settings, threads=threads)[..., :3]
         render = (np.clip(np.nan_to_num(picture), 0, 1) * 255 + 0.5).astype(np.uint8)
-        score = masked_psnr(fitted_by_halves(picture, shot) if request.exposures_differ else picture, shot)
+        score = masked_psnr(fitted_by_tiles(picture, shot) if request.exposures_differ else picture, shot)
     apart = np.abs(render.astype(np.float32) - photo) * request.gain
     if shot.mask is not None:
         apart[~shot.mask] = 0
