@@ -23,7 +23,7 @@ from splatview.scene.captures import Capture
 from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
-from splatview.trainer.exposure import DECIDED_BY, LEAST_SPREAD, Exposures
+from splatview.trainer.exposure import DECIDED_BY, Exposures
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
 from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
 from splatview.trainer.settings import TrainSettings
@@ -120,7 +120,7 @@ def with_exposure(effects: tuple[Effect, ...], exposures: Exposures) -> tuple[Ef
     on = (
         "a gain and an offset for each photo and colour are learnt; the scene has their average"
         if exposures.is_on
-        else f"below {LEAST_SPREAD:.0%}, not known well enough or not grey: not corrected"
+        else "too little, not known well enough, or shine: not corrected"
     )
     return tuple(
         replace(effect, on=exposures.is_on, why=evidence + on) if effect.name == EXPOSURE else effect
@@ -189,7 +189,7 @@ def _exposure(settings: TrainSettings) -> Effect:
         "off": "as asked for",
         "on": f"as asked for: {what}",
         "auto": f"decided within {DECIDED_BY:.0%} of the run, by whether photos differ in brightness"
-        f" where they show the same places, by {LEAST_SPREAD:.0%} or more",
+        " where they show the same places",
     }
     return Effect(
         name=EXPOSURE,

@@ -131,6 +131,23 @@ def test_shine_is_no_exposure() -> None:
     assert not by_colour.calls_for_correction and "2.5 times more in one colour" in str(by_colour)
 
 
+def test_more_is_asked_where_places_disagree_about_a_ratio() -> None:
+    """A wall that is darker towards one side in every second photo, as what shines may be."""
+    gains = np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1, -0.15, 0.0])
+    points, photos = wall(gains)
+    assert measured_evidence(points, photos).scatter < 0.05
+    shade = np.linspace(0.3, 1.0, 96)[:, None]
+    turned = [replace(photo, pixels=(photo.pixels * shade).astype(np.uint8)) for photo in photos[::2]]
+    assert measured_evidence(points, turned + photos[1::2]).scatter > 0.2
+    for spread, error, unevenness in ((0.2, 0.075, 1.0), (0.2, 0.01, 1.7)):
+        assert Evidence(spread, error, unevenness).calls_for_correction
+        for scatter in (0.3, np.nan):
+            evidence = Evidence(spread, error, unevenness, scatter)
+            assert not evidence.calls_for_correction
+        assert "and places in a photo by" in str(evidence)
+    assert Evidence(0.2, 0.01, 1.2, scatter=0.3).calls_for_correction
+
+
 def test_evidence_leaves_out_what_says_nothing() -> None:
     gains = np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1])
     points, photos = wall(gains)
