@@ -177,7 +177,7 @@ def main() -> None:
             held_out,
             trainer.render_settings,
             threads=options.threads,
-            exposures_differ=trainer.exposures.is_on,
+            exposures_differ=getattr(trainer.exposures, "are_kept", trainer.exposures.is_on),
         )
 
     curve: list[tuple[float, int, float]] = []
@@ -200,8 +200,8 @@ def main() -> None:
             side_by_side(view, drawn.image[..., :3]).save(file)
     final = score()
     plain, fitted = (
-        evaluate(trainer.splats.arrays, held_out, trainer.render_settings, exposures_differ=by_halves)
-        for by_halves in (False, True)
+        evaluate(trainer.splats.arrays, held_out, trainer.render_settings, exposures_differ=by_tiles)
+        for by_tiles in (False, True)
     )
     skies = sky_errors(
         *(options.name, options.made, held_out, views.all),
