@@ -222,6 +222,7 @@ def main() -> None:
         "batch": getattr(settings, "batch", 1),
         "seconds": used,
         "exposure": trainer.exposures.is_on,
+        "fades": getattr(trainer.exposures, "fades", False),
         "evidence": str(trainer.exposures.evidence),
         "gains": float(np.sqrt((trainer.exposures.table[..., 0] ** 2).mean())),
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
