@@ -86,7 +86,7 @@ LEAST_CERTAINTY = 2.5, 3.0
 
 SURE = 15.0
 """Standard deviations of what gains leave unexplained from which on what is found is exposure: 60 on `demo
-drift 40`, 19 and more on `castle`, 16 at most on `toy`; 3 to 5 on `miku` and `fox`, 12 on a split of `miku 20
+drift 40`, 10 to 50 on `castle`, 8 to 16 on `toy`, whose splits are decided either way; 3 to 5 on `miku` and `fox`, 12 on a split of `miku 20
 near` that has 27.82 dB where exposures fade, and 27.77 where not."""
 
 MOST_UNEVEN = 2.0, 1.5
