@@ -86,8 +86,8 @@ LEAST_CERTAINTY = 2.5, 3.0
 
 SURE = 15.0
 """Standard deviations of what gains leave unexplained from which on what is found is exposure: 60 on `demo
-drift 40`, 10 to 50 on `castle`, 8 to 16 on `toy`, whose splits are decided either way; 3 to 5 on `miku` and `fox`, 12 on a split of `miku 20
-near` that has 27.82 dB where exposures fade, and 27.77 where not."""
+drift 40`, 10 to 50 on `castle`, 8 to 16 on `toy`, whose splits are decided either way; 3 to 5 on `miku` and
+`fox`, 12 on a split of `miku 20 near` that has 27.82 dB where exposures fade, and 27.77 where not."""
 
 MOST_UNEVEN = 2.0, 1.5
 """Ratio of the spreads of the colours that differ most and least: 1.9 at most on `fox`, 2.2 at least on
