@@ -75,6 +75,8 @@ def main() -> None:
                 if key not in runs:
                     fields = [f'exposure="{mode}"']
                     runs[key] = run_one(here, key, options.data.resolve(), options.made.resolve(), fields)
+                    runs = known_runs(options.output) | runs  # of another call meanwhile
+                    print(mode, capture, split, cell([runs[key]]), flush=True)
                     write_results(options.output, {"runs": list(runs.values()), "table": table(runs)})
 
 
