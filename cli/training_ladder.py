@@ -194,7 +194,7 @@ def train_rung(
                     ).psnr
                 )
             paused += time.perf_counter() - stopped
-    fits = trainer.exposures.are_kept if fits is None else fits
+    fits = trainer.exposures.is_on if fits is None else fits
     return Curve(
         seconds=np.array(seconds),
         psnr=np.array(scores[fits]),

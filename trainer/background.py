@@ -472,7 +472,7 @@ class BackgroundTraining:
                 ids=trainer.splats.ids,
                 iteration=counters.iteration,
                 seconds=counters.seconds,
-                exposures_differ=trainer.exposures.are_kept,
+                exposures_differ=trainer.exposures.is_on,
             )
         )
         self._unseen = False

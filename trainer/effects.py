@@ -23,7 +23,7 @@ from splatview.scene.captures import Capture
 from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
-from splatview.trainer.exposure import DECIDED_BY, FADING, Exposures
+from splatview.trainer.exposure import DECIDED_BY, Exposures
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
 from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
 from splatview.trainer.settings import TrainSettings
@@ -117,12 +117,11 @@ def with_easing(effects: tuple[Effect, ...], need: float) -> tuple[Effect, ...]:
 def with_exposure(effects: tuple[Effect, ...], exposures: Exposures) -> tuple[Effect, ...]:
     """The same once the exposures are decided."""
     evidence = "" if exposures.evidence is None else f"{exposures.evidence}: "
-    on = "too little, not known well enough, or shine: not corrected"
-    if exposures.is_on:
-        on = "a gain and an offset for each photo and colour are learnt; "
-        on += f"as they may be light as well, they fade out until {FADING[1]:.0%} of the run"
-        if exposures.are_kept:
-            on = "a gain and an offset for each photo and colour are learnt; the scene has their average"
+    on = (
+        "a gain and an offset for each photo and colour are learnt; the scene has their average"
+        if exposures.is_on
+        else "too little, not known well enough or not grey: not corrected"
+    )
     return tuple(
         replace(effect, on=exposures.is_on, why=evidence + on) if effect.name == EXPOSURE else effect
         for effect in effects

@@ -317,7 +317,7 @@ class TrainingRun:
             views,
             trainer.render_settings,
             threads=trainer.threads,
-            exposures_differ=trainer.exposures.are_kept,
+            exposures_differ=trainer.exposures.is_on,
         )
 
     def evaluate(self) -> Evaluation:

@@ -275,7 +275,7 @@ def train(
             held_out,
             trainer.render_settings,
             threads=threads,
-            exposures_differ=trainer.exposures.are_kept,
+            exposures_differ=trainer.exposures.is_on,
         )
     return TrainedScene(trainer.snapshot(), evaluation)
 

@@ -222,7 +222,6 @@ class Trainer:
         raise_sh_degree(splats, optimizer, max(settings.sh_degree_at(progress), splats.sh_degree))
         self._decide_outliers(progress)
         self._decide_exposures(progress)
-        self.exposures.follow(progress)
 
         optimizer.zero_grad()  # first, for a step that failed may have left some
         optimizer.threads, optimizer.rates = self.threads, settings.rates(progress, self.extent)
@@ -234,7 +233,7 @@ class Trainer:
         held = hold(splats.arrays, self.state)
         with clock.stage("adam"):
             optimizer.step(info.pieces if settings.visible_only else None)
-        if self.exposures.are_learnt:
+        if self.exposures.is_on:
             with clock.stage("exposure"):
                 self.exposures.step(progress, settings.batch)
         with clock.stage("density"):
@@ -290,7 +289,7 @@ class Trainer:
                 group.add_up(noted)
                 for total, old, new in zip(sums, before, noted, strict=True):
                     total[:] = old + new
-            if self.exposures.are_learnt:
+            if self.exposures.is_on:
                 group.add_up([self.exposures.gradients])
             pieces, loss = batch.means(photos, group, self.threads)
         return Visibility(pieces, len(self.splats)), loss
@@ -317,10 +316,9 @@ class Trainer:
             threads=self.threads,
         )
         exposure = None
-        if self.exposures.in_force:
+        if self.exposures.is_on:
             with clock.stage("exposure"):
-                exposure = torch.from_numpy(self.exposures.of(view.camera.name))
-                exposure.requires_grad_(self.exposures.are_learnt)
+                exposure = torch.from_numpy(self.exposures.of(view.camera.name)).requires_grad_()
                 behind = None if view.alpha is None else settings.background
                 image = expose(image, exposure, behind, self.threads)
         photo = torch.from_numpy(view.pixels)

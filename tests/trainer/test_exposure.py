@@ -57,7 +57,7 @@ def score(trainer: Trainer, views: list[TrainView]) -> float:
 def test_photos_of_different_exposure_are_corrected(views, start) -> None:
     photos = exposed(views, 0.25)
     with_it, without = (trained(photos, start, exposure=mode) for mode in ("on", "off"))
-    assert with_it.exposures.are_kept and not without.exposures.is_on
+    assert with_it.exposures.is_on and not without.exposures.is_on
     # Both are measured alike, after fits. Measured over four seeds: 30.8 to 31.9 dB, and 29.6 to 30.3 without
     # (photos of one exposure: 32.4). One seed gains 0.7 to 2.2 dB, by chance of roundings.
     assert score(with_it, photos) - score(without, photos) > 0.4
@@ -66,32 +66,6 @@ def test_photos_of_different_exposure_are_corrected(views, start) -> None:
     truth = np.log([ratio for i, ratio in enumerate(ratios) if i % 5])
     assert np.corrcoef(learnt, truth)[0, 1] > 0.9
     np.testing.assert_allclose(with_it.exposures.table.mean(axis=0), 0, atol=1e-12)
-
-
-def test_exposures_that_may_be_light_fade_out(views, start, tmp_path: Path) -> None:
-    """As on photos of 48x40, in which places are blurred: gains explain most, but not nearly all."""
-    photos, steps = exposed(views, 0.25), 300
-    trainer = begun(photos, start, iterations=steps)
-    shares, tables = [], []
-    while not trainer.done:
-        trainer.step()
-        shares.append(trainer.exposures.share)
-        tables.append(trainer.exposures.table.copy())
-        if len(shares) == steps * 2 // 3:
-            save_checkpoint(trainer, tmp_path / "run.safetensors")
-    exposures = trainer.exposures
-    assert exposures.evidence is not None and "differ in exposure by" in str(exposures.evidence)
-    assert exposures.is_on and exposures.fades and not exposures.are_kept
-    np.testing.assert_allclose(shares, np.clip((0.6 - np.arange(steps) / steps) / 0.1, 0, 1), atol=0.04)
-    np.testing.assert_array_equal(tables[steps // 2 + 2], tables[-1], "not learnt while they fade")
-    assert np.abs(tables[steps // 2 - 2] - tables[-1]).max() > 0
-    assert not exposures.in_force and not exposures.of(photos[1].camera.name).any()
-    resumed = begun(photos, start, iterations=steps)
-    restore(resumed, load_checkpoint(tmp_path / "run.safetensors"))
-    while not resumed.done:
-        resumed.step()
-    for ours, theirs in zip(trainer.splats.arrays, resumed.splats.arrays, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
 
 
 def test_equal_photos_are_left_alone(make_trainer) -> None:
@@ -158,23 +132,10 @@ def test_shine_is_no_exposure() -> None:
     assert not by_colour.calls_for_correction and "2.5 times more in one colour" in str(by_colour)
 
 
-def test_more_is_asked_where_places_disagree_about_a_ratio() -> None:
-    """A wall that is darker towards one side in every second photo, as what shines may be."""
-    gains = np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1, -0.15, 0.0])
-    points, photos = wall(gains)
-    assert measured_evidence(points, photos).scatter < 0.05
-    shade = np.linspace(0.3, 1.0, 96)[:, None]
-    turned = [replace(photo, pixels=(photo.pixels * shade).astype(np.uint8)) for photo in photos[::2]]
-    assert measured_evidence(points, turned + photos[1::2]).scatter > 0.2
-    for spread, error, unevenness in ((0.2, 0.075, 1.0), (0.2, 0.01, 1.7)):
-        assert Evidence(spread, error, unevenness).calls_for_correction
-        for scatter in (0.3, np.nan):
-            evidence = Evidence(spread, error, unevenness, scatter)
-            assert not evidence.calls_for_correction
-        assert "and places in a photo by" in str(evidence)
-    assert Evidence(0.2, 0.01, 1.2, scatter=0.3).calls_for_correction
-    assert Evidence(0.2, 0.01).is_sure and not Evidence(0.2, 0.02).is_sure
-    assert not Evidence(0.2, np.nan).is_sure
+def test_gains_that_leave_much_may_be_light() -> None:
+    assert Evidence(0.2, 0.01).calls_for_correction and not Evidence(0.2, 0.02).calls_for_correction
+    assert not Evidence(0.028, 0.001).calls_for_correction and Evidence(0.032, 0.001).calls_for_correction
+    assert not Evidence(0.2, 0.01, np.nan).calls_for_correction
 
 
 def test_evidence_leaves_out_what_says_nothing() -> None:

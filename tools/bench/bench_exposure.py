@@ -1,4 +1,4 @@
-"""What exposures bring that are learnt: held-out PSNR without, with them to the end, and as a run decides.
+"""What exposures bring that are learnt: held-out PSNR without, with them, and as a run decides.
 
     python tools/bench/bench_exposure.py DATA MADE [--captures NAME ...] [--splits 0 1 2]
 
@@ -28,7 +28,7 @@ CAPTURES = (
 
 NOTE = (
     "PSNR in dB of held-out thirds of the photos, after a fit of their exposures and as they are. Off: none "
-    "are learnt; on: learnt, and kept; auto: as the run decides by the photos. Rules were chosen on captures "
+    "are learnt; on: they are; auto: as the run decides by the photos. Rules were chosen on captures "
     "marked so, and are only judged by the others. A minute of a model of what a step costs on two cores."
 )
 
@@ -39,7 +39,7 @@ def cell(runs: list[dict[str, Any]]) -> str:
 
 def decisions(runs: list[dict[str, Any]]) -> str:
     """What runs have decided, one word for each."""
-    words = ("fade" if run["fades"] else "kept" if run["exposure"] else "off" for run in runs)
+    words = ("on" if run["exposure"] else "off" for run in runs)
     return ", ".join(words)
 
 

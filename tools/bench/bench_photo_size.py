@@ -110,7 +110,7 @@ def train(folder: Path, minutes: float, downscale: int, levels: Levels) -> dict[
         held_out = train_views(read(folder, factor).about(whole.centre).held_out)
         score = evaluate(
             *(trainer.splats.arrays, held_out, trainer.render_settings),
-            exposures_differ=trainer.exposures.are_kept,
+            exposures_differ=trainer.exposures.is_on,
         )
         found |= {f"{name}_psnr": score.psnr, f"{name}_ssim": score.ssim}
     return found

@@ -177,7 +177,7 @@ def main() -> None:
             held_out,
             trainer.render_settings,
             threads=options.threads,
-            exposures_differ=getattr(trainer.exposures, "are_kept", trainer.exposures.is_on),
+            exposures_differ=trainer.exposures.is_on,
         )
 
     curve: list[tuple[float, int, float]] = []
@@ -222,7 +222,6 @@ def main() -> None:
         "batch": getattr(settings, "batch", 1),
         "seconds": used,
         "exposure": trainer.exposures.is_on,
-        "fades": getattr(trainer.exposures, "fades", False),
         "evidence": str(trainer.exposures.evidence),
         "gains": float(np.sqrt((trainer.exposures.table[..., 0] ** 2).mean())),
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
