@@ -66,6 +66,7 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     ),
     *_rungs("sky", "a sky", off={"sky": "off"}),
     *_rungs("free space", "points that photos show", off={"free_space": 0.0}),
+    *_rungs("size of splats", any={"max_size": math.inf}),
     *_rungs("unseen splats", stay={"least_shown": 0.0, "least_visibility": 0.0}),
     *_rungs("hidden splats", stay={"least_visibility": 0.0}),
     *_rungs("splats of one photo", stay={"most_of_one": 1.0}),

@@ -15,7 +15,7 @@ from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.adam_kernels import REST_DIVISOR, Rates
-from splatview.trainer.free_space import FREE_SPACE, LEAST_SHOWN, LEAST_VISIBILITY, MOST_OF_ONE
+from splatview.trainer.free_space import FREE_SPACE, LEAST_SHOWN, LEAST_VISIBILITY, MAX_SIZE, MOST_OF_ONE
 from splatview.trainer.loss import SSIM_WEIGHT
 from splatview.trainer.strategies import STRATEGIES, StrategySettings
 from splatview.trainer.strategies.mcmc import LEAST_REG
@@ -277,6 +277,9 @@ class TrainSettings(StrategySettings):
     free_space: float = FREE_SPACE
     """Share of the depth at which what a photo shows begins, nearer than which no splat may stand before its
     camera; 0: anywhere. See `free_space`."""
+    max_size: float = MAX_SIZE
+    """Standard deviation that a splat has at most along any axis, in distances to a camera whose photo shows
+    it. See `free_space`."""
     least_shown: float = LEAST_SHOWN
     """Of a photo, that a splat must contribute to all photos together, or it goes when density control ends
     and as the run does; 0: what none shows goes nowhere. See `free_space`."""
@@ -321,6 +324,8 @@ class TrainSettings(StrategySettings):
                 raise ValueError(f"{name} must be at least 0 and below 1, got {getattr(self, name)}")
         if not 0.5 <= self.most_of_one <= 1:
             raise ValueError(f"most_of_one must be 0.5 to 1, got {self.most_of_one}")
+        if not self.max_size > 0:
+            raise ValueError(f"max_size must be above 0, got {self.max_size}")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"dropout must be at least 0 and below 1, got {self.dropout}")
         if self.strategy not in STRATEGIES:
@@ -382,6 +387,7 @@ WITHOUT_WORD = {
     "least_shown": 0.0,
     "least_visibility": 0.0,
     "most_of_one": 1.0,
+    "max_size": math.inf,
 }
 """Fields that older checkpoints do not have, as their runs went."""
 

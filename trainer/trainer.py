@@ -20,7 +20,7 @@ from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
-from splatview.trainer.free_space import GONE, passing, standing_before, worth_keeping
+from splatview.trainer.free_space import GONE, limit_sizes, passing, standing_before, worth_keeping
 from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
 from splatview.trainer.initialisation import comments_for
 from splatview.trainer.outliers import Outliers
@@ -44,7 +44,8 @@ CUT_STEPS = 10
 """Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
 
 CLEAR_STEPS = 4
-"""Steps of which one looks for splats before its photo's camera: in each it took 2 % of their time."""
+"""Steps of which one looks for splats before its photo's camera, and for wide ones: the first in each took
+2 % of their time."""
 
 
 class Trainer:
@@ -443,13 +444,16 @@ class Trainer:
             )
 
     def _clear_free_space(self, info: Visibility) -> None:
-        """Makes invisible what stands before the cameras of the step's photos, nearer than what they show."""
-        share, batch = self.settings.free_space, self.settings.batch
+        """Makes invisible what stands before the cameras of the step's photos, nearer than what they show,
+        and shortens what is too long to be told from a veil. See `free_space`."""
+        settings, first = self.settings, (self.counters.iteration - 1) * self.settings.batch
         if self.counters.iteration % CLEAR_STEPS:
             return
-        arrays, first = self.splats.arrays, (self.counters.iteration - 1) * batch
-        for view in (self.views.at(place) for place in range(first, first + batch)):
-            depth = share * self.nearest_depths[self._rows[view.camera.name]]
+        arrays = self.splats.arrays
+        for view in (self.views.at(place) for place in range(first, first + settings.batch)):
+            if settings.max_size < math.inf:
+                limit_sizes(arrays, info.pieces, view.camera, settings.max_size, self.threads)
+            depth = settings.free_space * self.nearest_depths[self._rows[view.camera.name]]
             if depth > 0:
                 for indices in info.pieces:
                     wrong = standing_before(arrays.means, indices, view.camera, depth)

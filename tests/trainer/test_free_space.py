@@ -13,7 +13,14 @@ from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import PASSING
-from splatview.trainer.free_space import GONE, nearest_depths, passing, standing_before, worth_keeping
+from splatview.trainer.free_space import (
+    GONE,
+    limit_sizes,
+    nearest_depths,
+    passing,
+    standing_before,
+    worth_keeping,
+)
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for, trainer_for
@@ -70,6 +77,71 @@ def test_a_veil_before_a_camera_goes(
     logits = trainer.splats.arrays.opacity_logits
     assert (logits[0] == GONE) == (share > 0)
     assert np.abs(logits[1:] - opaque).max() < 0.1 * CLEAR_STEPS, "the others are left alone"
+
+
+def sized(start: Parameters, log_scales: np.ndarray) -> Parameters:
+    """A copy of the start with other sizes."""
+    return Parameters(*(array.copy() for array in start._replace(log_scales=log_scales.astype(np.float32))))
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_no_splat_is_longer_than_a_share_of_its_distance(
+    views: list[TrainView], start: Parameters, unit: float
+) -> None:
+    camera, rng = views[0].camera, np.random.default_rng(5)
+    camera = replace(
+        camera,
+        world_to_camera=np.block(
+            [[camera.world_to_camera[:3, :3], unit * camera.t_camera_world[:, None]], [np.zeros((1, 3)), 1]]
+        ),
+    )
+    count = len(start.means)
+    splats = sized(
+        start._replace(means=np.float32(unit) * start.means), rng.normal(0, 2, (count, 3)) + np.log(unit)
+    )
+    before = splats.log_scales.copy()
+    some = np.arange(0, count, 2, dtype=np.int32)
+    limit_sizes(splats, [some[:7], some[7:]], camera, 0.5)
+    most = np.log(0.5 * np.linalg.norm(splats.means - camera.eye, axis=1))
+    wide = before.max(axis=1) > most
+    assert wide[some].any() and not wide[some].all()
+    expected = np.where(np.arange(count)[:, None] % 2 == 0, np.minimum(before, most[:, None]), before)
+    # Squares of float32 distances: half a dozen roundings.
+    np.testing.assert_allclose(splats.log_scales, expected, rtol=0, atol=1e-6 * (1 + abs(np.log(unit))))
+    np.testing.assert_array_equal(splats.log_scales[~wide], before[~wide], "what is short stays to the bit")
+    again = splats.log_scales.copy()
+    limit_sizes(splats, [some], camera, 0.5)
+    np.testing.assert_allclose(splats.log_scales, again, rtol=0, atol=1e-6 * (1 + abs(np.log(unit))))
+
+
+def test_sizes_of_splats_that_are_nowhere_stay(views: list[TrainView], start: Parameters) -> None:
+    splats = sized(start, np.full_like(start.log_scales, 3.0))
+    splats.means[0], splats.means[1] = np.nan, views[0].camera.eye
+    splats.log_scales[2] = np.nan
+    limit_sizes(splats, [np.arange(4, dtype=np.int32)], views[0].camera, 0.5)
+    assert (splats.log_scales[:2] == 3).all(), "neither without a place nor at the eye itself"
+    assert np.isnan(splats.log_scales[2]).all()
+    assert (splats.log_scales[3] < 3).all()
+
+
+@pytest.mark.parametrize("max_size", [0.5, np.inf])
+def test_a_run_limits_sizes(views: list[TrainView], start: Parameters, make_trainer, max_size: float) -> None:
+    splats = Parameters(*(array.copy() for array in start))
+    splats.log_scales[0] = 3.0
+    settings = replace(make_trainer(strategy="classic").settings, max_size=max_size, free_space=0.0)
+    trainer = Trainer(TrainViews(views[:1], 0), splats, 3.0, settings)
+    for _ in range(CLEAR_STEPS):
+        trainer.step()
+    arrays = trainer.splats.arrays
+    most = np.log(0.5 * np.linalg.norm(arrays.means[0] - views[0].camera.eye))
+    assert (arrays.log_scales[0].max() <= most + 1e-5) == (max_size == 0.5)
+    assert np.abs(arrays.log_scales[1:] - start.log_scales[1:]).max() < 0.1 * CLEAR_STEPS
+
+
+def test_a_size_limit_is_above_zero(make_trainer) -> None:
+    for wrong in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="max_size"):
+            replace(make_trainer().settings, max_size=wrong)
 
 
 def test_a_resumed_run_knows_where_scenes_begin(
