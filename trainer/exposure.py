@@ -5,22 +5,27 @@ the photos' average exposure. Only captures whose photos differ need this, and e
 100` of the bench, which shines and has one exposure, scores 29.96 dB without (20,000 splats), and 27.46 where
 it was learnt (35,000), as the scene is then right for no photo.
 
-So photos are compared with one another, at an early moment of the run: where splats are in front, both of two
-photos show the same place, and the median of the log ratios of its colours is what their exposures differ by.
-For each photo the gain that explains its pairs best (least absolute differences), and how sure it is by what
-gains leave unexplained: surfaces that look brighter from one side make ratios that no gain for each photo
-explains, and they do so more in one colour than in another, where exposures are grey.
+So photos are compared with one another before the first step: of the places where splats begin, which are the
+capture's points or found by stereo, those in front are the same in both of two photos, and the median of the
+log ratios of their colours is what the exposures differ by. Only where splats begin at random, or too few
+photos share places, that waits for an early moment of the run. For each photo the gain that explains its
+pairs best (least absolute differences), and how sure it is by what gains leave unexplained: surfaces that
+look brighter from one side make ratios that no gain for each photo explains, and they do so more in one
+colour than in another, where exposures are grey.
 
 Gains that explain nearly all are exposure, 15 times what they leave and more: `demo drift 40`, whose drift is
-known (60), and splits of `castle` (10 to 50), `toy` (8 to 16) and `miku 12 near` (18). Others, as on `miku`
-and `fox` (3 to 5), may be light, or a camera that adapts to where it looks: learnt gains are a smooth
-function of the camera's place there (neighbours explain 96 % of them on `fox`, 93 % on `miku`), which colours
-by direction learn as well, and a scene at the average exposure is right for no photo as it is. Chosen by what
-a minute scores, after a fit and as it is, docs/training.md has the table: kept, `fox` gains 0.2 and loses 3.4
-dB, `miku` gains 0.6 and loses 1.6, and `spot RGBA 60`, of one exposure, loses 1.2 as it is; a split of
-`castle` gains 0.5 and 1.3, one of `toy` 0.2 and 0.8, one of `miku 12 near` (judge) 0.3 and 0.4. `train front
-30`, lights on black, differed by 16 % (known to 0.8 %) until places beside the bare background were left out,
-with which blurred colours mix: 45.12 dB after three minutes where it was on.
+known (28 to 36 by its splits), `castle` (20 to 52) and a split of `toy` (31). The next are `miku 20 near`
+(13), `toy` (13) and `miku 12 near` (11). Where splats stand after a thirtieth of the run, which is what
+decided before, splits of `castle` have 8 to 17 and fell on either side by chance and by the length of the
+run: one scored 14.9 dB after a minute, where exposures were learnt, and 12.6 after three, where they were
+not. Others, as on `miku` and `fox` (3 to 5), may be light, or a camera that adapts to where it looks: learnt
+gains are a smooth function of the camera's place there (neighbours explain 96 % of them on `fox`, 93 % on
+`miku`), which colours by direction learn as well, and a scene at the average exposure is right for no photo
+as it is. Chosen by what a minute scores, after a fit and as it is, docs/training.md has the table: kept,
+`fox` gains 0.2 and loses 3.4 dB, `miku` gains 0.6 and loses 1.6, and `spot RGBA 60`, of one exposure, loses
+1.2 as it is; a split of `castle` gains 0.5 and 1.3, one of `toy` 0.2 and 0.8, one of `miku 12 near` (judge)
+0.3 and 0.4. `train front 30`, lights on black, differed by 16 % (known to 0.8 %) until places beside the bare
+background were left out, with which blurred colours mix: 45.12 dB after three minutes where it was on.
 
 Dropped: to learn gains that may be light, too, and to let them fade out when half of the run is over. Over 15
 splits of 9 captures that scores 0.04 dB more than none after a fit (standard error 0.07), and 0.09 (0.08) as
@@ -141,7 +146,7 @@ class Exposures:
     is_decided: bool = False
     is_on: bool = False
     evidence: Evidence | None = None
-    """Evidence of the decision, where it was made by that in this process."""
+    """What the decision is made by, once there is something to tell from."""
 
     def __post_init__(self) -> None:
         shape = (len(self.names), 3, 2)
@@ -159,6 +164,15 @@ class Exposures:
             return False
         return progress >= (DECIDED_AT if rounds >= LEAST_ROUNDS else DECIDED_BY)
 
+    def measure(
+        self, places: np.ndarray, views: Sequence[TrainView], background: tuple[float, float, float]
+    ) -> None:
+        """Compares photos, one for each name and in any size, at places (N, 3) of the scene, where that is
+        what decides and has not been done; as if nothing had been done where they share too few places."""
+        if self.mode == "auto" and self.evidence is None and not self.is_decided:
+            found = measured_evidence(places, views, background)
+            self.evidence = found if found.error < np.inf else None
+
     def decide(
         self,
         parameters: Parameters,
@@ -168,18 +182,19 @@ class Exposures:
         threads: int,
         places: np.ndarray | None = None,
     ) -> None:
-        """Compares photos, one for each name and in any size, where the scene's splats are, or at `places`
-        (N, 3)."""
+        """Decides by what `measure` has found, or finds now where the scene's splats are, or at `places`
+        (N, 3); gains begin at what the scene says about photos, one for each name and in any size."""
 
         def picture(view: TrainView) -> np.ndarray:
             return draw_frame(parameters, view.camera, settings, workspace, threads=threads).image[..., :3]
 
-        self.is_decided, self.is_on = True, self.mode == "on"
-        if self.mode == "auto":
-            means = parameters.means if places is None else places
-            background = settings.background if isinstance(settings.background, tuple) else (0.0, 0.0, 0.0)
-            self.evidence = measured_evidence(means, views, background)
-            self.is_on = self.evidence.calls_for_correction
+        means = parameters.means if places is None else places
+        background = settings.background if isinstance(settings.background, tuple) else (0.0, 0.0, 0.0)
+        self.measure(means, views, background)
+        if self.mode == "auto" and self.evidence is None:
+            self.evidence = Evidence(0.0, np.inf)
+        self.is_decided = True
+        self.is_on = self.mode == "on" or (self.evidence is not None and self.evidence.calls_for_correction)
         if self.is_on:
             for row, view in enumerate(views):
                 self.table[row, :, 0] = np.nan_to_num(log_gain(picture(view), view))
@@ -216,6 +231,7 @@ class Exposures:
             "first": self._first,
             "second": self._second,
             "visits": self._visits,
+            "evidence": np.array(self.evidence or (np.nan,) * 3),
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -227,6 +243,8 @@ class Exposures:
             strict=True,
         ):
             ours[:] = state[name]
+        found = state.get("evidence", np.full(3, np.nan))
+        self.evidence = None if np.isnan(found).any() else Evidence(*found.tolist())
 
 
 def log_gain(picture: np.ndarray, view: TrainView) -> np.ndarray:

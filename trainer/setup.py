@@ -177,6 +177,7 @@ def trainer_for(
     )
     if not (capture.guessed and points is capture.points):  # random points say nothing
         trainer.nearest_depths = nearest_depths(points, views.all)
+        trainer.measure_exposures()
     return trainer
 
 

@@ -424,13 +424,24 @@ class Trainer:
         elif outliers.is_missed(progress):
             outliers.is_decided = True
 
+    def measure_exposures(self) -> None:
+        """Compares photos where splats begin, if these are places of the scene: so that what is decided about
+        exposures does not go by how long the run is."""
+        self.exposures.measure(self._places, self.views.sized(self.downscale), self.settings.background)
+
+    @property
+    def _places(self) -> np.ndarray:
+        """(N, 3): means but those of a sky, which is not the same from all sides, nor behind each of its
+        splats."""
+        means = self.splats.arrays.means
+        return means[self.state["sky"] == 0] if "sky" in self.state else means
+
     def _decide_exposures(self, progress: float) -> None:
         if self.exposures.is_due(progress, self._rounds):
             views = self.views.sized(self.downscale)
-            arrays = self.splats.arrays
-            # A sky is not the same from all sides, nor behind each of its splats.
-            places = arrays.means[self.state["sky"] == 0] if "sky" in self.state else None
-            self.exposures.decide(arrays, views, self.render_settings, Workspace(), self.threads, places)
+            self.exposures.decide(
+                self.splats.arrays, views, self.render_settings, Workspace(), self.threads, self._places
+            )
 
     def _check_seen(self, info: Visibility) -> None:
         """Raises NothingSeen where a round of photos has shown nothing."""

@@ -11,11 +11,20 @@ import pytest
 import torch
 
 from splatview.scene.camera import look_at
+from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.evaluate import evaluate
-from splatview.trainer.exposure import Evidence, fitted, fitted_by_tiles, log_gain, measured_evidence
+from splatview.trainer.exposure import (
+    Evidence,
+    Exposures,
+    fitted,
+    fitted_by_tiles,
+    log_gain,
+    measured_evidence,
+)
 from splatview.trainer.functional import expose, photo_loss
 from splatview.trainer.settings import TrainSettings
+from splatview.trainer.setup import settings_for, trainer_for
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 
@@ -179,6 +188,77 @@ def test_what_lies_beside_the_bare_background_says_nothing() -> None:
     evidence = measured_evidence(points, halves)
     assert evidence.spread == pytest.approx(np.std(np.log(gains)), rel=0.1)
     assert evidence.calls_for_correction
+
+
+BLACK = (0.0, 0.0, 0.0)
+
+
+def test_photos_are_compared_once_and_only_where_that_decides() -> None:
+    points, photos = wall(np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1]))
+    names = [photo.camera.name for photo in photos]
+    for mode in ("on", "off"):
+        asked = Exposures(names, mode)
+        asked.measure(points, photos, BLACK)
+        assert asked.evidence is None
+    exposures = Exposures(names)
+    exposures.measure(points[:20], photos, BLACK)
+    assert exposures.evidence is None, "too few places: another time there may be more"
+    exposures.measure(points, photos, BLACK)
+    found = exposures.evidence
+    assert found == measured_evidence(points, photos)
+    exposures.measure(points, photos[::-1], BLACK)
+    assert exposures.evidence is found and not exposures.is_decided
+
+
+def drifting(*, guessed: bool) -> Capture:
+    points, views = wall(np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1]))
+    photos = tuple(
+        Photo(
+            name=view.camera.name,
+            camera=view.camera,
+            held_out=False,
+            pixels=lambda view=view: Pixels(image=view.pixels, mask=None),
+        )
+        for view in views
+    )
+    colours = np.full((len(points), 3), 100, np.uint8)
+    return Capture(
+        name="wall", photos=photos, points=points.astype(float), point_colours=colours, guessed=guessed
+    )
+
+
+def drifting_trainer(iterations: int, *, guessed: bool = False) -> Trainer:
+    capture, (_, views) = drifting(guessed=guessed), wall(np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1]))
+    trained_on = TrainViews(views, 0)
+    settings = settings_for(capture, trained_on, iterations=iterations, start="points")
+    return trainer_for(capture, trained_on, settings, centre=np.zeros(3), threads=2)
+
+
+def test_what_decides_is_known_before_the_first_step_however_long_the_run(tmp_path: Path) -> None:
+    short, long = drifting_trainer(60), drifting_trainer(6000)
+    found = short.exposures.evidence
+    assert found is not None and found == long.exposures.evidence
+    assert found.calls_for_correction and not short.exposures.is_decided
+    guessed = drifting_trainer(60, guessed=True)
+    assert guessed.exposures.evidence is None, "random points are no places of the scene"
+    while not guessed.done:
+        guessed.step()
+    assert guessed.exposures.evidence is not None
+    # A run that was stopped before it had decided goes on with what it knew.
+    path = tmp_path / "run.safetensors"
+    short.step()
+    save_checkpoint(short, path)
+    resumed = Trainer(short.views, short.splats.arrays, EXTENT, short.settings, threads=2)
+    assert resumed.exposures.evidence is None
+    checkpoint = load_checkpoint(path)
+    restore(resumed, checkpoint)
+    assert resumed.exposures.evidence == short.exposures.evidence and not resumed.exposures.is_decided
+    while not resumed.done:
+        resumed.step()
+    assert resumed.exposures.is_on
+    del checkpoint.exposure["evidence"]  # as of runs that noted none
+    restore(resumed, checkpoint)
+    assert resumed.exposures.evidence is None
 
 
 def test_the_first_gain_is_that_of_least_squares(views) -> None:
