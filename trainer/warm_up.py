@@ -10,6 +10,7 @@ import torch
 
 from splatview.raster import Workspace
 from splatview.scene import Lens, look_at
+from splatview.trainer.free_space import limit_sizes
 from splatview.trainer.functional import expose
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.loss import mean_ssim
@@ -36,6 +37,9 @@ def warm_up(*, lens: bool = False, strategies: Iterable[str] = STRATEGIES) -> No
         trainer = Trainer(TrainViews([view], 0), initial_parameters(points, colours, 1.0), 1.0, settings)
         while not trainer.done:
             trainer.step()
+        # Runs do so every few steps only.
+        one = [np.zeros(1, np.int32)]
+        limit_sizes(trainer.splats.arrays, one, camera, settings.max_size, trainer.threads)
     mean_ssim(np.zeros((16, 16, 3), np.float32), view.pixels, Workspace())
     picture, exposure = torch.zeros(1, 1, 4, requires_grad=True), torch.zeros(3, 2, dtype=torch.float64)
     expose(picture, exposure.requires_grad_()).sum().backward()
