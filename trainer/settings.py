@@ -202,8 +202,8 @@ def automatic_steps(photos: int) -> int | None:
     `playbot RGBA 18` 30.72 in place of 30.76; judged by `skull RGBA 24` 28.15 in place of 28.22 and by `miku
     20 near` 25.34 in place of 26.67.
 
-    Dropped: two thirds of them where photos are fewest, too. 400 steps for a photo and 600, three splits
-    each: `kermit` 17.24 and 18.08 dB, `toy` 20.91 and 21.15, `bust` 19.21 and 19.00.
+    Dropped: two thirds of them where photos are fewest, too. 400 steps per photo and 600, three splits each:
+    `kermit` 17.24 and 18.08 dB, `toy` 20.91 and 21.15, `bust` 19.21 and 19.00.
 
     Dropped: to withhold an eighth of the photos for the first 40 % of the run, and to settle when they
     become worse. The 10 photos of `banana` miss the one by 0.3 dB in the end, though it comes back (0.0 dB
