@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from PIL import Image
 
 from splatview.raster import Parameters, render
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
+from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.trainer import Trainer
@@ -19,6 +20,22 @@ from splatview.trainer.views import TrainView, TrainViews
 
 VIEWS = 20
 EXTENT = 3.0
+
+
+def capture_of(
+    views: Sequence[TrainView], points: np.ndarray, colours: np.ndarray, *, guessed: bool = False
+) -> Capture:
+    """The capture of these photos, none held out, with points (P, 3) and colours (P, 3) uint8."""
+    photos = tuple(
+        Photo(
+            name=view.camera.name or f"{row}.png",
+            camera=view.camera,
+            held_out=False,
+            pixels=lambda view=view: Pixels(image=view.pixels, mask=None),
+        )
+        for row, view in enumerate(views)
+    )
+    return Capture(name="photos", photos=photos, points=points, point_colours=colours, guessed=guessed)
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from splatview.scene.camera import look_at
-from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.exposure import (
@@ -28,7 +27,8 @@ from splatview.trainer.setup import settings_for, trainer_for
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 
-EXTENT = 3.0
+from .conftest import EXTENT, capture_of
+
 make_settings: Any = TrainSettings
 
 
@@ -210,26 +210,10 @@ def test_photos_are_compared_once_and_only_where_that_decides() -> None:
     assert exposures.evidence is found and not exposures.is_decided
 
 
-def drifting(*, guessed: bool) -> Capture:
-    points, views = wall(np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1]))
-    photos = tuple(
-        Photo(
-            name=view.camera.name,
-            camera=view.camera,
-            held_out=False,
-            pixels=lambda view=view: Pixels(image=view.pixels, mask=None),
-        )
-        for view in views
-    )
-    colours = np.full((len(points), 3), 100, np.uint8)
-    return Capture(
-        name="wall", photos=photos, points=points.astype(float), point_colours=colours, guessed=guessed
-    )
-
-
 def drifting_trainer(iterations: int, *, guessed: bool = False) -> Trainer:
-    capture, (_, views) = drifting(guessed=guessed), wall(np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1]))
-    trained_on = TrainViews(views, 0)
+    points, views = wall(np.exp([0.2, -0.1, 0.15, -0.2, 0.0, 0.1]))
+    grey = np.full((len(points), 3), 100, np.uint8)
+    capture, trained_on = capture_of(views, points.astype(float), grey, guessed=guessed), TrainViews(views, 0)
     settings = settings_for(capture, trained_on, iterations=iterations, start="points")
     return trainer_for(capture, trained_on, settings, centre=np.zeros(3), threads=2)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from splatview.raster import Parameters
-from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import PASSING
@@ -26,6 +25,8 @@ from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for, trainer_for
 from splatview.trainer.trainer import CLEAR_STEPS, Trainer
 from splatview.trainer.views import TrainView, TrainViews
+
+from .conftest import capture_of
 
 
 def before(view: TrainView, depth: float, aside: float = 0.0) -> np.ndarray:
@@ -157,17 +158,8 @@ def test_a_resumed_run_knows_where_scenes_begin(
 
 
 def test_random_points_say_nothing(views: list[TrainView], start: Parameters) -> None:
-    photos = tuple(
-        Photo(
-            name=view.camera.name,
-            camera=view.camera,
-            held_out=False,
-            pixels=lambda view=view: Pixels(image=view.pixels, mask=None),
-        )
-        for view in views
-    )
     colours = np.full((len(start.means), 3), 128, np.uint8)
-    capture = Capture(name="ring", photos=photos, points=start.means.astype(float), point_colours=colours)
+    capture = capture_of(views, start.means.astype(float), colours)
     ring = TrainViews(views, 0)
     for guessed in (False, True):
         told = replace(capture, guessed=guessed)

@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 
 from splatview.scene import Lens
 from splatview.scene.camera import look_at
-from splatview.scene.captures.capture import Capture, Photo, Pixels
 from splatview.scene.lens import undistort
 from splatview.scene.progress import Cancelled, Progress
 from splatview.trainer import stereo_kernels as kernels
 from splatview.trainer.setup import settings_for, start_points
 from splatview.trainer.stereo import _through, stereo_points, thinned
 from splatview.trainer.views import TrainView, TrainViews
+
+from .conftest import capture_of
 
 SIZE = (72, 60)
 
@@ -194,16 +195,7 @@ def test_where_splats_begin_is_what_the_setting_says(photos, rng):
     views = TrainViews(photos, 0)
 
     def begun(start: str, *, guessed: bool, used: TrainViews = views) -> tuple[np.ndarray, list[str]]:
-        shots = tuple(
-            Photo(
-                name=f"{i}.png",
-                camera=view.camera,
-                held_out=False,
-                pixels=lambda view=view: Pixels(image=view.pixels, mask=None),
-            )
-            for i, view in enumerate(photos)
-        )
-        capture = Capture(name="plane", photos=shots, points=own[0], point_colours=own[1], guessed=guessed)
+        capture = capture_of(photos, *own, guessed=guessed)
         notes: list[str] = []
         recipe = settings_for(capture, views, iterations=10, start=start)
         points, colours = start_points(capture, used, recipe, on_note=notes.append)
