@@ -262,7 +262,8 @@ def _prepare(
     }
     if loss is not None:
         notes["plugin"] = {"name": loss.name, "sha256": loss.digest}
-    effects = capture_effects(capture, trainer.settings, antialiased)
+    covered = trainer.views.covered(trainer.settings.background)
+    effects = capture_effects(capture, trainer.settings, antialiased, covered)
     effects = with_sky_found(effects, trainer.sky, int(np.count_nonzero(trainer.state.get("sky", 0))))
     if trainer.exposures.is_decided:
         effects = with_exposure(effects, trainer.exposures)

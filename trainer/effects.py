@@ -26,7 +26,7 @@ from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.exposure import DECIDED_BY, Exposures
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
 from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
-from splatview.trainer.settings import TrainSettings
+from splatview.trainer.settings import TrainSettings, automatic_regularisation
 from splatview.trainer.sky import Sky
 from splatview.trainer.strategies.mcmc import LEAST_REG
 
@@ -48,6 +48,8 @@ PASSING = "splats of one photo"
 SKY = "sky"
 
 FEW_PHOTOS = "rules for few photos"
+
+COVERED = "weaker regularisers"
 
 EASED = "; eased to "
 
@@ -87,9 +89,10 @@ def model_for(capture: Capture, antialiased: Antialiased) -> ImageModel:
 
 
 def capture_effects(
-    capture: Capture, settings: TrainSettings, antialiased: Antialiased
+    capture: Capture, settings: TrainSettings, antialiased: Antialiased, covered: float = 1.0
 ) -> tuple[Effect, ...]:
-    """What a run will do, for its start; `antialiased` is what the user asked for."""
+    """What a run will do, for its start; `antialiased` is what the user asked for, `covered` the share of the
+    photos' pixels that show something, see `TrainViews.covered`."""
     return (
         _sh_bands(settings),
         _exposure(settings),
@@ -100,6 +103,7 @@ def capture_effects(
         _antialiased(capture, settings, antialiased),
         _background(capture, settings),
         _sky(settings),
+        _covered(len(capture.train), settings, covered),
         _few_photos(len(capture.train), settings),
     )
 
@@ -312,4 +316,20 @@ def _few_photos(photos: int, settings: TrainSettings) -> Effect:
         on=bool(rules),
         why=f"{photos} photos to train on: {what}",
         saving=Saving(what="draws of the splats that are left out"),
+    )
+
+
+def _covered(photos: int, settings: TrainSettings, covered: float) -> Effect:
+    weights = settings.opacity_reg, settings.scale_reg
+    by_pixels = settings.strategy == "mcmc" and automatic_regularisation(photos, covered) in weights
+    why = f"photos show something in {covered:.1%} of their pixels"
+    if not by_pixels:
+        why += ": mean opacity and scale weigh as asked for, or nothing"
+    elif covered < 1:
+        why += f", so mean opacity and scale weigh {weights[0]:.2g} and {weights[1]:.2g}"
+    return Effect(
+        name=COVERED,
+        on=by_pixels and covered < 1,
+        why=why,
+        saving=Saving(what="a look at a part of the pixels, once"),
     )

@@ -15,6 +15,7 @@ from splatview.scene.captures.capture import Photo, PhotoStatistics, Pixels
 from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.formats import load_scene
 from splatview.trainer.effects import (
+    COVERED,
     FEW_PHOTOS,
     OUTLIERS,
     PASSING,
@@ -27,7 +28,7 @@ from splatview.trainer.effects import (
     with_easing,
 )
 from splatview.trainer.run import Outputs, TrainingRun
-from splatview.trainer.settings import TrainSettings
+from splatview.trainer.settings import TrainSettings, automatic_regularisation
 from splatview.trainer.strategies.ops import raise_sh_degree
 
 
@@ -101,6 +102,7 @@ def test_each_effect_names_its_evidence():
     assert {name for name, (on, _) in rich.items() if on} == set(rich) - {
         "antialiased opacity",
         SKY,
+        COVERED,
         FEW_PHOTOS,
         OUTLIERS,
         PASSING,
@@ -213,6 +215,30 @@ def test_rules_for_few_photos_are_told_and_so_is_their_easing(make_trainer, tmp_
     assert note.endswith("; eased to 25%, as the scene meets them")
     assert note == f"{FEW_PHOTOS}: {training_run.effects[-1].why}"
     assert with_easing(training_run.effects, 1.0)[-1] == effects[-1], "back to all of it"
+
+
+def test_what_photos_show_of_their_pixels_is_told() -> None:
+    ring = capture([2.0] * 20)  # 19 to train on
+
+    def told_of(covered: float, **settings) -> tuple[bool, str]:
+        effects = capture_effects(ring, TrainSettings(**settings), "auto", covered)
+        (found,) = (one for one in effects if one.name == COVERED)
+        return found.on, found.why
+
+    weight = automatic_regularisation(19, 0.064)
+    assert told_of(0.064, opacity_reg=weight, scale_reg=weight) == (
+        True,
+        f"photos show something in 6.4% of their pixels, so mean opacity and scale weigh {weight:.2g} and"
+        f" {weight:.2g}",
+    )
+    whole = automatic_regularisation(19)
+    assert told_of(1.0, opacity_reg=whole, scale_reg=whole) == (
+        False,
+        "photos show something in 100.0% of their pixels",
+    )
+    on, why = told_of(0.064, opacity_reg=0.5, scale_reg=0.5)
+    assert not on and why.endswith("as asked for, or nothing")
+    assert not told_of(0.064, strategy="classic", opacity_reg=weight, scale_reg=weight)[0]
 
 
 def test_a_loss_that_wavers_is_told_once(make_trainer, tmp_path):
