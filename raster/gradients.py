@@ -12,6 +12,7 @@ from splatview.raster.compiling import TASKS_PER_THREAD, run
 from splatview.raster.frame import Frame, StageClock, bands_of, tile_ranges
 from splatview.raster.parameters import NO_SHARE, Parameters, describe
 from splatview.raster.project_backward import POSE_BLOCK, project_backward
+from splatview.raster.sort import empty_at_line
 
 BRIGHT = 1e18
 """Colours that the backward pass multiplies in float32. Where a splat is brighter, the gradient of the loss
@@ -146,7 +147,11 @@ def _parameters(
     if reuse is not None and fits:
         gradients, means2d, abs_means2d = reuse.parameters, reuse.means2d, reuse.abs_means2d
     else:
-        gradients, means2d, abs_means2d = Parameters(*(np.empty_like(array) for array in splats)), None, None
+        gradients, means2d, abs_means2d = (
+            Parameters(*(empty_at_line(array.shape, array.dtype) for array in splats)),
+            None,
+            None,
+        )
     pose_sums = None
     if by_view:
         if means2d is None or abs_means2d is None:

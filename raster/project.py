@@ -62,7 +62,7 @@ from splatview.raster.simd import (
     widened,
 )
 from splatview.raster.surfels import SURFEL, project_surfels
-from splatview.raster.transpose import load_rows, store_rows
+from splatview.raster.transpose import finish_stores, load_rows, passes_caches, store_rows
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
 from splatview.scene.projection import FLOAT32_MAX
 from splatview.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
@@ -228,6 +228,10 @@ def sh_sum(coefficients, basis, count):
         blue = fma(weight, converted(column(coefficients, 3 * k + 2), basis), blue)
     return red, green, blue
 
+
+MOST_CACHED = 16 << 20
+"""Bytes of records beyond which they are written past the caches: a frame of 500,000 splats then takes 0.96
+of the time, one of 100,000, whose records stay in a cache until they are binned and drawn, 1.04."""
 
 # A group of LANES splats is worked on in columns of LANES float64 numbers each: first the loaded parameters,
 # ...
@@ -518,6 +522,7 @@ def project(
     rows[:] = 0
     starts, met_rows = np.empty(LANES, np.int64), np.empty(LANES, np.uint16)
     flat_sh, flat_records = sh.reshape(-1), records.reshape(-1)
+    past = flat_records.nbytes > MOST_CACHED and passes_caches(flat_records, RECORD)
     number = records.dtype.type
     lanes = aligned(COLUMNS * LANES, np.float64)
     lanes[:LANES] = 0
@@ -565,7 +570,7 @@ def project(
         _, met = tile_rows(rows, view.tiles_y)
         for lane in range(LANES):
             starts[lane] = np.int64(min(first + lane, stop - 1)) * RECORD
-        store_rows(flat_records, starts, RECORD, rows, 0)
+        store_rows(flat_records, starts, RECORD, rows, 0, past)
         if surfels is not None:
             for lane in range(min(LANES, stop - first)):
                 for field in range(SURFEL):
@@ -589,6 +594,7 @@ def project(
             depths[first + lane] = lanes[DEPTH * LANES + lane]
             visible[start + count] = first + lane
             count += lanes[DRAWN * LANES + lane] > 0
+    finish_stores()
     store(lanes, 0, least)
     store(lanes, LANES, greatest)
     store(lanes, 2 * LANES, brightest)

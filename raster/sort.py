@@ -16,6 +16,7 @@ import numpy as np
 from splatview.raster.compiling import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, inline, kernel, run
 from splatview.raster.edits import EditArrays, moved, palette_row
 from splatview.raster.parameters import Parameters, View
+from splatview.raster.simd import CACHE_LINE
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.order_reuse import ResortPolicy
 
@@ -30,6 +31,14 @@ def _unshared() -> int:
 
 UNSHARED = _unshared()
 """What `sys.getrefcount` says of an array that only a list refers to."""
+
+
+def empty_at_line(shape: tuple[int, ...], dtype: np.dtype | type) -> np.ndarray:
+    """An array with any contents that begins at a cache line."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    whole = np.empty(size + CACHE_LINE, np.uint8)
+    start = -whole.ctypes.data % CACHE_LINE
+    return whole[start : start + size].view(dtype).reshape(shape)
 
 
 class Workspace:
@@ -62,9 +71,7 @@ class Workspace:
             capacity = size if buffer is None else int(size * GROWTH)
             self._buffers.pop(name, None)
             del buffer
-            whole = np.empty(capacity + 64, np.uint8)
-            start = -whole.ctypes.data % 64
-            buffer = self._buffers[name] = whole[start : start + capacity]
+            buffer = self._buffers[name] = empty_at_line((capacity,), np.uint8)
         return buffer[:size].view(dtype).reshape(shape)
 
     @property

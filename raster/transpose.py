@@ -13,6 +13,7 @@ from splatview.raster.compiling import BOUNDSCHECK, inline
 from splatview.raster.simd import (
     BLOCK_LANES,
     BLOCK_WIDTH,
+    CACHE_LINE,
     LANES,
     Vector,
     address_of,
@@ -84,14 +85,14 @@ def _load_rows(typingctx: Any, array: Any, starts: Any, count: Any, columns: Any
 
 @intrinsic
 def _store_rows(
-    typingctx: Any, array: Any, starts: Any, count: Any, columns: Any, index: Any, whole: Any
+    typingctx: Any, array: Any, starts: Any, count: Any, columns: Any, index: Any, whole: Any, past: Any
 ) -> Any:
     if not (is_flat(array) and starts == STARTS and columns == array):
         return None
     vector = Vector(array.dtype)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        values, starts, count, columns, index, whole = args
+        values, starts, count, columns, index, whole, past = args
         llvm_type = float_type(context, vector)
         align = array.dtype.bitwidth // 8
         loaded = []
@@ -102,9 +103,15 @@ def _store_rows(
         addresses = _rows(context, builder, array, values, starts, llvm_type)
         rows = list(zip(addresses, _transposed(builder, loaded), strict=True))
         with builder.if_else(whole) as (then, otherwise):
-            with then:
-                for address, row in rows:
-                    builder.store(row, address, align=align)
+            with then, builder.if_else(past) as (beyond, within):
+                with beyond:
+                    number = ir.Constant(ir.IntType(32), 1)
+                    for address, row in rows:
+                        stored = builder.store(row, address, align=CACHE_LINE)
+                        stored.set_metadata("nontemporal", builder.module.add_metadata([number]))
+                with within:
+                    for address, row in rows:
+                        builder.store(row, address, align=align)
             with otherwise:
                 mask, name = _first_lanes(builder, count), f"llvm.masked.store.{suffix(vector)}.p0"
                 for address, row in rows:
@@ -112,7 +119,8 @@ def _store_rows(
                     call_llvm(builder, name, ir.VoidType(), row, address, number, mask)
         return context.get_dummy_value()
 
-    return types.void(array, starts, types.intp, columns, types.intp, types.boolean), codegen
+    flags = types.boolean, types.boolean
+    return types.void(array, starts, types.intp, columns, types.intp, *flags), codegen
 
 
 @intrinsic
@@ -148,6 +156,32 @@ def _store_interleaved(
     return types.void(array, types.intp, types.intp, *colours), codegen
 
 
+@intrinsic
+def begins_at_line(typingctx: Any, array: Any) -> Any:
+    """Whether an array begins at a cache line."""
+    if not isinstance(array, types.Array):
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        data = context.make_array(array)(context, builder, args[0]).data
+        address = builder.ptrtoint(data, ir.IntType(64))
+        rest = builder.and_(address, ir.Constant(address.type, CACHE_LINE - 1))
+        return builder.icmp_unsigned("==", rest, ir.Constant(address.type, 0))
+
+    return types.boolean(array), codegen
+
+
+@intrinsic
+def finish_stores(typingctx: Any) -> Any:
+    """Waits for what was stored past the caches: only then may another thread be told that it is there."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.fence("seq_cst")
+        return context.get_dummy_value()
+
+    return types.void(), codegen
+
+
 @inline
 def load_rows(array, starts, count, columns, index):
     """The first `count` <= LANES numbers of LANES rows of a flat array, rows that begin at starts (LANES,)
@@ -159,14 +193,22 @@ def load_rows(array, starts, count, columns, index):
 
 
 @inline
-def store_rows(array, starts, count, columns, index):
-    """What `load_rows` reads, written. Rows that begin at one place must be equal.
+def store_rows(array, starts, count, columns, index, past):
+    """What `load_rows` reads, written. Rows that begin at one place must be equal. `past`: past the caches,
+    where `passes_caches` allows it.
 
     Whole vectors are stored without a mask: Zen takes some 40 operations for a masked store.
     """
     if BOUNDSCHECK:
         _check_rows(array, starts, count, columns, index)
-    _store_rows(array, starts, count, columns, index, count == LANES)
+    _store_rows(array, starts, count, columns, index, count == LANES, past)
+
+
+@inline
+def passes_caches(array, numbers):
+    """Whether rows of so many numbers of a flat array can be written past the caches: whole vectors that
+    begin at cache lines. No line is read then before it is overwritten. See `finish_stores`."""
+    return numbers % LANES == 0 and begins_at_line(array)
 
 
 @inline
