@@ -62,7 +62,7 @@ from splatview.raster.simd import (
     widened,
 )
 from splatview.raster.surfels import SURFEL, project_surfels
-from splatview.raster.transpose import finish_stores, load_rows, passes_caches, store_rows
+from splatview.raster.transpose import MOST_CACHED, finish_stores, load_rows, passes_caches, store_rows
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
 from splatview.scene.projection import FLOAT32_MAX
 from splatview.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
@@ -228,10 +228,6 @@ def sh_sum(coefficients, basis, count):
         blue = fma(weight, converted(column(coefficients, 3 * k + 2), basis), blue)
     return red, green, blue
 
-
-MOST_CACHED = 16 << 20
-"""Bytes of records beyond which they are written past the caches: a frame of 500,000 splats then takes 0.96
-of the time, one of 100,000, whose records stay in a cache until they are binned and drawn, 1.04."""
 
 # A group of LANES splats is worked on in columns of LANES float64 numbers each: first the loaded parameters,
 # ...

@@ -10,9 +10,10 @@ import pytest
 from splatview import raster
 from splatview.raster.gradients import Gradients, differentiate
 from splatview.raster.parameters import Parameters
-from splatview.raster.project import MOST_CACHED, RECORD
+from splatview.raster.project import RECORD
 from splatview.raster.simd import CACHE_LINE
 from splatview.raster.sort import empty_at_line
+from splatview.raster.transpose import MOST_CACHED
 from splatview.scene import Gaussians, RenderSettings, look_at
 
 CAMERA = look_at((0, 0, -3), (0, 0, 0), width=50, height=37)
