@@ -27,7 +27,6 @@ from splatview.raster.simd import (
     suffix,
 )
 
-
 MOST_CACHED = 16 << 20
 """Bytes of records beyond which they are written past the caches: a frame of 500,000 splats then takes 0.96
 of the time, one of 100,000, whose records stay in a cache until they are binned and drawn, 1.04."""
