@@ -40,12 +40,12 @@ def test_gradients_are_the_same_wherever_their_arrays_begin(random_gaussians, de
     splats = Parameters(*(np.ascontiguousarray(array, dtype) for array in splats))
     frame = raster.draw_frame(splats, CAMERA, RenderSettings(), raster.Workspace(), dtype=dtype, threads=2)
     weights = np.random.default_rng(0).normal(size=frame.image.shape).astype(dtype)
-    found = differentiate(splats, frame, weights, by_view=False)
+    found = differentiate(splats, frame, weights)
     assert all(array.ctypes.data % CACHE_LINE == 0 for array in found.parameters)
     moved: Gradients = replace(
         found, parameters=Parameters(*(beside_line(array) for array in found.parameters))
     )
-    beside = differentiate(splats, frame, weights, by_view=False, reuse=moved)
+    beside = differentiate(splats, frame, weights, reuse=moved)
     assert beside.parameters.sh is moved.parameters.sh
     for ours, theirs in zip(beside.parameters, found.parameters, strict=True):
         assert np.array_equal(ours, theirs)
