@@ -153,33 +153,48 @@ def sky_cell(by_name: list[list[dict[str, Any]]], kind: str) -> str:
     return ", ".join(f"{np.mean(values):.3f}" if values else "" for values in means)
 
 
+def row_by_marks(
+    runs: dict[Key, dict[str, Any]],
+    capture: str,
+    name: str,
+    rounds: list[Round],
+    its_marks: list[float],
+    marks: list[float],
+) -> list[str]:
+    """The cells of a capture, of which a checkout has run `rounds` at `its_marks`, but for the checkout's."""
+    by_mark = {m: [runs[name, capture, s, m, seed] for s, seed in rounds] for m in its_marks}
+    scores = {m: float(np.mean([score(run) for run in found])) for m, found in by_mark.items()}
+    last = by_mark[its_marks[-1]]
+    haze = [run["haze"] for run in last if run["haze"] is not None]
+    gains = [later - sooner for sooner, later in pairwise(scores[m] for m in its_marks)]
+    return [
+        capture,
+        use_of(capture),
+        str(last[0]["photos"]),
+        in_words(rounds),
+        *(f"{scores[m]:.2f}" if m in scores else "" for m in marks),
+        f"{min(gains):+.2f}" if gains else "",
+        f"{np.mean(haze):.4f}" if haze else "",
+    ]
+
+
 def table_by_marks(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
     """A row for each capture and checkout, a column for each mark: means over the splits and seeds that the
-    checkout has run at all marks of the capture."""
+    checkout has run at all marks of the row. Where there are more without the last marks, these have a row of
+    their own before it."""
     marks = sorted({minutes for _, _, _, minutes, _ in runs})
     rows = []
     for capture, name in product(NAMES, names):
         its_marks = [m for m in marks if rounds_of(runs, capture, [name], [m])]
-        rounds = rounds_of(runs, capture, [name], its_marks)
-        if not its_marks or not rounds:
-            continue
-        by_mark = {m: [runs[name, capture, s, m, seed] for s, seed in rounds] for m in its_marks}
-        scores = {m: float(np.mean([score(run) for run in found])) for m, found in by_mark.items()}
-        last = by_mark[its_marks[-1]]
-        haze = [run["haze"] for run in last if run["haze"] is not None]
-        gains = [later - sooner for sooner, later in pairwise(scores[m] for m in its_marks)]
-        rows.append(
-            [
-                capture,
-                *([name] if len(names) > 1 else []),
-                use_of(capture),
-                str(last[0]["photos"]),
-                in_words(rounds),
-                *(f"{scores[m]:.2f}" if m in scores else "" for m in marks),
-                f"{min(gains):+.2f}" if gains else "",
-                f"{np.mean(haze):.4f}" if haze else "",
-            ]
-        )
+        written = 0
+        for count in reversed(range(1, len(its_marks) + 1)):
+            rounds = rounds_of(runs, capture, [name], its_marks[:count])
+            if len(rounds) > written and (count > 1 or not written):
+                row = row_by_marks(runs, capture, name, rounds, its_marks[:count], marks)
+                rows.insert(
+                    len(rows) - (written > 0), [row[0], *([name] if len(names) > 1 else []), *row[1:]]
+                )
+                written = len(rounds)
     columns = ["capture", *(["recipe"] if len(names) > 1 else []), "rules", "photos", "splits"]
     columns += [*(f"{m:g} min, dB" for m in marks), "least gain by time, dB", "haze"]
     return {"columns": columns, "rows": rows, "note": NOTE}
