@@ -323,8 +323,10 @@ def _covered(photos: int, settings: TrainSettings, covered: float) -> Effect:
     weights = settings.opacity_reg, settings.scale_reg
     by_pixels = settings.strategy == "mcmc" and automatic_regularisation(photos, covered) in weights
     why = f"photos show something in {covered:.1%} of their pixels"
-    if not by_pixels:
-        why += ": mean opacity and scale weigh as asked for, or nothing"
+    if settings.strategy != "mcmc":
+        why += ", which this strategy does not go by"
+    elif not by_pixels:
+        why += "; mean opacity and scale weigh as asked for"
     elif covered < 1:
         why += f", so mean opacity and scale weigh {weights[0]:.2g} and {weights[1]:.2g}"
     return Effect(

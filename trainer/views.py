@@ -94,8 +94,8 @@ def train_views(photos: Sequence[Photo]) -> list[TrainView]:
 def opacities(
     view: TrainView, background: tuple[float, float, float], sampled: tuple[slice, ...] = (slice(None),)
 ) -> np.ndarray:
-    """(h, w) uint8 of the pixels `sampled`: a photo's opacity; where it has none of its own, 0 where a pixel
-    is the background, RGB from 0 to 1, and 255 elsewhere."""
+    """(h, w) uint8 of the pixels `sampled`: a photo's opacity; where it has none of its own, 0 for pixels of
+    the background, RGB from 0 to 1, and 255 for others."""
     if view.alpha is not None and view.alpha_known == 255:
         return view.alpha[sampled]
     away = np.abs(view.pixels[sampled] - np.rint(np.array(background) * 255))

@@ -237,8 +237,9 @@ def test_what_photos_show_of_their_pixels_is_told() -> None:
         "photos show something in 100.0% of their pixels",
     )
     on, why = told_of(0.064, opacity_reg=0.5, scale_reg=0.5)
-    assert not on and why.endswith("as asked for, or nothing")
-    assert not told_of(0.064, strategy="classic", opacity_reg=weight, scale_reg=weight)[0]
+    assert not on and why.endswith("; mean opacity and scale weigh as asked for")
+    on, why = told_of(0.064, strategy="classic", opacity_reg=weight, scale_reg=weight)
+    assert not on and why.endswith("6.4% of their pixels, which this strategy does not go by")
 
 
 def test_a_loss_that_wavers_is_told_once(make_trainer, tmp_path):

@@ -186,15 +186,12 @@ def table_by_marks(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[st
     rows = []
     for capture, name in product(NAMES, names):
         its_marks = [m for m in marks if rounds_of(runs, capture, [name], [m])]
-        written = 0
-        for count in reversed(range(1, len(its_marks) + 1)):
-            rounds = rounds_of(runs, capture, [name], its_marks[:count])
-            if len(rounds) > written and (count > 1 or not written):
-                row = row_by_marks(runs, capture, name, rounds, its_marks[:count], marks)
-                rows.insert(
-                    len(rows) - (written > 0), [row[0], *([name] if len(names) > 1 else []), *row[1:]]
-                )
-                written = len(rounds)
+        prefixes = [its_marks[: end + 1] for end in range(len(its_marks))]
+        found = [rounds_of(runs, capture, [name], prefix) for prefix in prefixes]
+        for prefix, (rounds, longer) in zip(prefixes, pairwise([*found, []]), strict=True):
+            if len(rounds) > len(longer) and (len(prefix) > 1 or not longer):
+                first, *rest = row_by_marks(runs, capture, name, rounds, prefix, marks)
+                rows.append([first, *([name] if len(names) > 1 else []), *rest])
     columns = ["capture", *(["recipe"] if len(names) > 1 else []), "rules", "photos", "splits"]
     columns += [*(f"{m:g} min, dB" for m in marks), "least gain by time, dB", "haze"]
     return {"columns": columns, "rows": rows, "note": NOTE}
