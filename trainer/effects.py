@@ -192,8 +192,8 @@ def _exposure(settings: TrainSettings) -> Effect:
     why = {
         "off": "as asked for",
         "on": f"as asked for: {what}",
-        "auto": f"decided within {DECIDED_BY:.0%} of the run, by whether photos differ in brightness"
-        " where they show the same places",
+        "auto": f"from within {DECIDED_BY:.0%} of the run on, if photos differ in brightness where they"
+        " show the same places",
     }
     return Effect(
         name=EXPOSURE,
