@@ -38,8 +38,9 @@ def soak(folder: Path, *options: str, timeout: float) -> list[dict[str, Any]]:
 
 
 @needs_xvfb
+@pytest.mark.timeout(600)
 def test_some_seconds(tmp_path: Path) -> None:
-    (part,) = soak(tmp_path, "--minutes", "0.08", "--renderers", "cpu", "--seed", "7", timeout=280)
+    (part,) = soak(tmp_path, "--minutes", "0.08", "--renderers", "cpu", "--seed", "7", timeout=560)
     assert part["problems"] == []
     assert part["actions"] >= 1 and part["pictures"] >= 1 and part["steps"] >= 1
     # The log is enough to do the same again.

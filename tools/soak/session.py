@@ -22,7 +22,14 @@ from scenes import make_capture, make_scenes
 
 from splatview.cli import train
 from splatview.cli import train as train_window
+from splatview.edit import warm_up as editing_kernels
+from splatview.raster import render
+from splatview.renderers.edit_snapshot import tinted
+from splatview.renderers.request import Highlight
+from splatview.scene import look_at
+from splatview.scene.edits import SELECTED, SceneEdits
 from splatview.scene.formats import load_scene
+from splatview.trainer import warm_up as training_kernels
 from splatview.trainer.checkpoint import load_checkpoint
 from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer.state import AppState
@@ -120,11 +127,22 @@ class Session:
         }
 
 
+def ready_kernels(folder: Path) -> None:
+    """Compiles what the window will ask for first: on a busy machine that takes minutes, in which it would
+    look as if it never came to rest."""
+    training_kernels.warm_up()
+    editing_kernels.warm_up()
+    scene = load_scene(folder / "one.ply")
+    edits = SceneEdits(marks=np.full(len(scene), SELECTED, np.uint32), flags=SELECTED)
+    render(scene, look_at((0, 0, -4), (0, 0, 0), width=32, height=32), edits=tinted(edits, Highlight()))
+
+
 def main() -> int:
     options = json.loads(sys.argv[1])
     folder = Path.cwd()
     small = options["size"] == "small"
     make_scenes(folder, small=small)
+    ready_kernels(folder)
     capture = make_capture(folder, small=small)
     session = Session(options, folder)
     arguments = [str(capture), "-o", "trained.ply", "--iterations", "10000000", "--max-splats"]

@@ -36,7 +36,7 @@ RENDERERS = ("cpu", "quads", "tiles", "old")
 DRIVES = Path(__file__).parents[2] / "tests" / "viewer"
 """Where the hands of the window's tests are."""
 
-GRACE_SECONDS = 240.0
+GRACE_SECONDS = 480.0
 """How long a part may take beyond its time, to start and to end, before it counts as hung."""
 
 OLD_GL = {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}
