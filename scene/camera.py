@@ -190,6 +190,9 @@ def look_at_matrix(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> np.ndarr
     if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(up_w):
         right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
     right /= np.linalg.norm(right)
+    # Where up is nearly parallel, rounding leaves a part along the view.
+    right -= (right @ forward) * forward
+    right /= np.linalg.norm(right)
     down = np.cross(forward, right)
     matrix = np.eye(4)
     matrix[:3, :3] = (right, down, forward)
