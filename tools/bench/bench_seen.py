@@ -1,7 +1,7 @@
 """Where held-out pictures of few photos are wrong: by how many of the photos trained on show the same place.
 
     python tools/bench/bench_seen.py DATA MADE --checkout NAME=PATH ... [--captures NAME ...]
-        [--splits 0 1 2] [--pictures DIR]
+        [--splits 0 1 2] --pictures DIR
 
 For parts of `miku` only: where things are is told by a scene that is trained on all of its photos, three
 minutes of the bench. A photo shows the place that a pixel of a held-out one shows where that scene's depth
@@ -153,7 +153,7 @@ def main() -> None:
     parser.add_argument("--checkout", action="append", required=True, metavar="NAME=PATH")
     parser.add_argument("--captures", nargs="+", default=["miku 12 far", "miku 12 near"])
     parser.add_argument("--splits", type=int, nargs="+", default=list(range(SPLITS)))
-    parser.add_argument("--pictures", type=Path, default=Path("/tmp/seen"))
+    parser.add_argument("--pictures", type=Path, required=True)
     parser.add_argument("-o", "--output", type=Path, default=FOLDER / "seen.json")
     arguments = parser.parse_args()
     arguments.checkouts = {
