@@ -35,7 +35,10 @@ from splatview.raster.simd import (
 
 BETA1, BETA2 = 0.9, 0.999
 EPSILON = 1e-15
-"""Kerbl et al. 2023: gradients of single splats are far below Adam's usual 1e-8."""
+"""Kerbl et al. 2023: gradients of single splats are far below Adam's usual 1e-8. With 1e-6, which slows what
+photos show less than a tenth of a pixel of: `beach` 17.48 in place of 17.26 dB, `kermit` 19.60, 19.56 and
+12.56 in place of 19.15, 19.27 and 15.68, `toy` 17.98 in place of 18.02 (three minutes, held-out photos as
+they are; one split or three)."""
 
 LARGEST = np.float32(1e18)
 """A gradient above this, or NaN, counts as 0: its square would not fit, and one bad pixel ends no run."""

@@ -27,6 +27,12 @@ Dropped, a minute of the bench, three splits each, held-out photos as they are a
 +0.27, `miku 12 near` -0.06 and -0.15, `kermit` -0.53 and -0.34 dB. Nor is it the veils alone: without what
 such cameras show ten times as much as any photo does, two splits of `miku 12 far` have 20.30 in place of
 20.29 and 17.55 in place of 18.37 dB, for there is nothing behind.
+On captures from all around a held-out camera may stand in fog that those opposite see as the horizon. With
+both rules for the ways `biker sky 30` has 30.45 and 29.42 dB in place of 30.56 and 28.29, `guitar sky 24`
+32.88 and 31.71 in place of 33.51 and 30.99 (two splits each), `skull close 80` 20.10 in place of 20.36 and a
+haze of 0.24 in place of 0.20: as much is lost as gained. Dropped, too, three minutes: a share of 0.8, `beach`
+17.20 and 17.62 in place of 17.26 and 17.90; copies of nothing that one photo alone shows by 0.9, 17.48 in
+place of 17.26, `biker sky 30` 29.00 in place of 28.46, where a finer sky brings 30.83.
 
 And what no photo shows: splats that have faded where the scene does without them, and those behind others.
 Nothing has ever told what they look like from elsewhere, and steps take longer for them. They go when density
