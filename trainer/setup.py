@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -40,6 +41,7 @@ from splatview.trainer.settings import (
     FULL_REG_LOSS,
     LEAST_LIMIT,
     PAPER_ITERATIONS,
+    STEPS_OF_A_MINUTE,
     TrainSettings,
     automatic_batch,
     automatic_dropout,
@@ -90,6 +92,7 @@ def settings_for(
     batch = automatic_batch(timed, automatic_steps(photos), threads)
     if iterations is None:
         iterations = automatic_steps(photos) or (PAPER_ITERATIONS if minutes is None else None)
+    steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))
     automatic: dict[str, Any] = {
         "batch": batch,
         "opacity_reg": weight,
@@ -97,7 +100,7 @@ def settings_for(
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "max_aspect": automatic_max_aspect(photos),
-        "sh_divisor": automatic_sh_divisor(views.photos_of_a_place(capture.points)),
+        "sh_divisor": automatic_sh_divisor(views.photos_of_a_place(capture.points), steps),
         "model": model_for(capture, antialiased),
         "resolution": automatic_levels(
             [(view.camera.width, view.camera.height) for view in views.all],

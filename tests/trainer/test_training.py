@@ -29,6 +29,7 @@ from splatview.trainer.functional import Visibility, dropout
 from splatview.trainer.run import RunProgress
 from splatview.trainer.settings import (
     FEW_PHOTOS,
+    SH_STEPS,
     TrainSettings,
     automatic_batch,
     automatic_dropout,
@@ -341,6 +342,8 @@ def test_few_photos_pull_harder_and_drop_more() -> None:
     )
     many, some, few = (automatic_sh_divisor(shown) for shown in (1000, 40, 25))
     assert 1 < many < some < few < automatic_sh_divisor(20) == automatic_sh_divisor(0) == 20
+    assert automatic_sh_divisor(1000, SH_STEPS / 2) == many < automatic_sh_divisor(1000, 3 * SH_STEPS) < 20
+    assert automatic_sh_divisor(40, 30 * SH_STEPS) == 20, "the paper's is the most, however long the run"
     assert 1 < automatic_max_aspect(13) < automatic_max_aspect(84)
     few = [automatic_steps(photos) or 0 for photos in (1, 13, 40)]
     assert few == sorted(few) and few[0] >= 1000 and automatic_steps(84) is None
