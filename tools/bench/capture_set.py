@@ -278,7 +278,7 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "demo lens 40": ("judge", demo("lens")),
     "demo night 40": ("judge", demo("night")),
     "demo sky 40": ("choose", outdoors(sky_scenes.demo_outdoors, 40)),
-    "biker sky 30": ("judge", outdoors(sky_scenes.biker_outdoors, 30)),
+    "biker sky 30": ("choose", outdoors(sky_scenes.biker_outdoors, 30)),
     "biker room 40": ("choose", outdoors(sky_scenes.biker_indoors, 40)),
     "guitar sky 24": ("judge", outdoors(sky_scenes.guitar_outdoors, 24)),
     "guitar room 24": ("judge", outdoors(sky_scenes.guitar_indoors, 24)),
