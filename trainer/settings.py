@@ -220,10 +220,10 @@ def automatic_steps(photos: int) -> int | None:
     Dropped: two thirds of them where photos are fewest, too. 400 steps per photo and 600, three splits each:
     `kermit` 17.24 and 18.08 dB, `toy` 20.91 and 21.15, `bust` 19.21 and 19.00.
 
-    Dropped: by how many photos show a place, half the steps where these are fewer than six, with one splat for
-    30 pixels. `beach` (4 of 12) has 18.24 and 18.36 dB in place of 17.26 and 17.90, but `demo hard 40` (3 of
-    26) 29.23 and 30.17 in place of 29.39 and 30.47 (two splits each, three minutes), and `demo lens 40`, as
-    sparse, gains 3.6 between 5,000 and 11,000 steps.
+    Dropped: by how many photos show a place, half the steps where these are fewer than six, and one splat
+    for 30 pixels. `beach` (4 of 12) has 18.24 and 18.36 dB in place of 17.26 and 17.90, but `demo hard 40`
+    (3 of 26) 29.23 and 30.17 in place of 29.39 and 30.47 (two splits each, three minutes), and `demo lens
+    40`, as sparse, gains 3.6 between 5,000 and 11,000 steps.
 
     Dropped: to withhold an eighth of the photos for the first 40 % of the run, and to settle when they
     become worse. The 10 photos of `banana` miss the one by 0.3 dB in the end, though it comes back (0.0 dB

@@ -124,11 +124,11 @@ sharper. One run each, held-out photos as they are, with 0.12 and at most 0.6 sp
 with (8 px a cell), 0.3 and 2 (5 px), and 0.5 and 4 with cells of 2 px at least, all with a `SIGMA` of 0.6.
 Chosen: `biker sky 30` after a minute 29.64, 30.56 and 30.53 dB (split 0), 28.37, 29.31 and 29.30 (split 2),
 after three 28.46 and 30.83. Judged, a minute: `guitar sky 24` 33.17, 33.51 and 33.04, `demo sky 40` 25.12,
-25.35 and 25.12, after three 25.59 and 26.07. With 2 and 4 splats a point, and the present `SIGMA`, ten minutes
-of `biker sky 30` score 30.18 and 31.41: now points are no limit. In splits 1 fog before one held-out camera,
-which is chance, hid the gain at first: 28.80 and 28.29 there, 31.47 and 30.99 on `guitar sky 24`. With all that
-is here now these have 29.43 and 31.68, splits 1 and 2 of `demo sky 40` 23.92 and 24.33 in place of 23.73 and
-24.46."""
+25.35 and 25.12, after three 25.59 and 26.07. With 2 and 4 splats a point, and the present `SIGMA`, ten
+minutes of `biker sky 30` score 30.18 and 31.41: now points are no limit. In splits 1 fog before one held-out
+camera, which is chance, hid the gain at first: 28.80 and 28.29 there, 31.47 and 30.99 on `guitar sky 24`.
+With all that is here now these have 29.43 and 31.68, splits 1 and 2 of `demo sky 40` 23.92 and 24.33 in place
+of 23.73 and 24.46."""
 
 LEAST_FINE = 1000
 """Splats over a whole sphere, of fewer there is no fine shell."""

@@ -23,7 +23,7 @@ from splatview.trainer.exposure import measured_evidence
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import TrainSettings, from_recorded, recorded
 from splatview.trainer.setup import kernel_threads_only, settings_for, trainer_for
-from splatview.trainer.sky import FIXED, TRAINED, Sky, find_sky, nearest, sphere
+from splatview.trainer.sky import FINE_SHARE, FIXED, TRAINED, Sky, find_sky, nearest, sphere
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
 
@@ -180,6 +180,16 @@ def test_shells_are_far_opaque_and_coloured_as_the_sky(open_air: Capture) -> Non
     truth = painted(outdoors, camera) / 255
     # By heights that photos end below: what they show nearest. Black is wrong by more than 0.4.
     assert np.abs(picture[..., :3] - truth).mean() < 0.15
+
+
+def test_the_sky_is_as_fine_as_its_share_of_the_splats_allows(open_air: Capture) -> None:
+    few, more, most = (found(open_air, most=splats).fine for splats in (1600, 2000, 100_000))
+    # All cells of so many directions that are far are known, but for a few.
+    assert 0.9 * FINE_SHARE * 1600 < few <= FINE_SHARE * 1600 < more <= FINE_SHARE * 2000
+    # Photos of so few pixels have no more to show, however many splats there may be.
+    assert more < most < 2 * more
+    sparse = replace(open_air, points=open_air.points[::30], point_colours=None)
+    assert found(sparse, most=2000).fine > 0.9 * more, "points do not limit it"
 
 
 def test_off_and_no_sky_start_with_the_same_bytes(open_air: Capture) -> None:
