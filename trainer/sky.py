@@ -140,7 +140,8 @@ SIGMA, COARSE_SIGMA = 0.5, 0.8
 """Standard deviations of the shells' splats, in distances of cells. Alone 0.6 leaves up to 5 % open, 0.8
 0.2 %; behind the fine shell there is the coarse one. With 0.42, 0.5, 0.6 and 0.75 for the fine one, a minute,
 one split: `biker sky 30` 30.59, 30.67, 30.56 and 30.07 dB (chosen), `guitar sky 24` 32.75, 33.58, 33.51 and
-32.21 (judged)."""
+32.21 (judged). Photographs say otherwise: `castle`, whose sky is no finer than it was, has 0.28 dB less with
+0.5 than with 0.6 after a minute and 0.38 less after three, and no more in any of three splits."""
 
 OPACITY = 0.99
 
