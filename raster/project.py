@@ -39,6 +39,7 @@ from splatview.raster.edits import (
 )
 from splatview.raster.exponentials import exp_lanes, log2_lanes
 from splatview.raster.parameters import HALF_LOG2_E, TILE
+from splatview.raster.sh import ask_for_sh, sh_basis, sh_sum_of_rows
 from splatview.raster.simd import (
     LANES,
     PART_LANES,
@@ -48,24 +49,27 @@ from splatview.raster.simd import (
     converted,
     fill,
     floor,
-    fma,
     keep_if_at_least,
     keep_if_below,
-    load,
     load_part,
     maximum,
     minimum,
-    prefetch,
     store,
     store_int,
     store_run,
     widened,
 )
 from splatview.raster.surfels import SURFEL, project_surfels
-from splatview.raster.transpose import MOST_CACHED, finish_stores, load_rows, passes_caches, store_rows
+from splatview.raster.transpose import (
+    MOST_CACHED,
+    column,
+    finish_stores,
+    passes_caches,
+    set_column,
+    store_rows,
+)
 from splatview.scene.image_model import MIN_QUAT_COMPONENT
 from splatview.scene.projection import FLOAT32_MAX
-from splatview.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 
 X, Y, X_REST, Y_REST, A, B, C, LOG2_OPACITY, RED, GREEN, BLUE, RX, RY, LOG2_DROP = range(14)
 RECORD = 16
@@ -117,9 +121,9 @@ def sigmoid(logit):
 
 
 @inline
-def sigmoid_lanes(logit):
-    """The same in every lane."""
-    decay = exp_lanes(-abs(logit))
+def sigmoid_lanes(logit, pictures):
+    """The same in every lane; see `exp_lanes`."""
+    decay = exp_lanes(-abs(logit), pictures)
     one, zero = fill(logit, 1.0), fill(logit, 0.0)
     return (keep_if_at_least(one, logit, zero) + keep_if_below(decay, logit, zero)) / (one + decay)
 
@@ -163,70 +167,6 @@ def squared_extent(view, log2_opacity):
     """The squared distance from the mean, in standard deviations, at which alpha falls below the cut that the
     kernels use, which is never quite 0."""
     return min(log2_opacity - view.log2_cut, -view.log2_share) * (1 / HALF_LOG2_E)
-
-
-@inline
-def sh_basis(x, y, z, degree, basis):
-    """Writes (degree + 1)² basis functions at unit directions to the columns `basis` (16·LANES,); see
-    `scene.sh`."""
-    set_column(basis, 0, fill(x, SH_C0))
-    if degree >= 1:
-        set_column(basis, 1, -SH_C1 * y)
-        set_column(basis, 2, SH_C1 * z)
-        set_column(basis, 3, -SH_C1 * x)
-    if degree >= 2:
-        xx, yy, zz = x * x, y * y, z * z
-        set_column(basis, 4, SH_C2[0] * x * y)
-        set_column(basis, 5, SH_C2[1] * y * z)
-        set_column(basis, 6, SH_C2[2] * (2 * zz - xx - yy))
-        set_column(basis, 7, SH_C2[3] * x * z)
-        set_column(basis, 8, SH_C2[4] * (xx - yy))
-        if degree >= 3:
-            set_column(basis, 9, SH_C3[0] * y * (3 * xx - yy))
-            set_column(basis, 10, SH_C3[1] * x * y * z)
-            set_column(basis, 11, SH_C3[2] * y * (4 * zz - xx - yy))
-            set_column(basis, 12, SH_C3[3] * z * (2 * zz - 3 * xx - 3 * yy))
-            set_column(basis, 13, SH_C3[4] * x * (4 * zz - xx - yy))
-            set_column(basis, 14, SH_C3[5] * z * (xx - yy))
-            set_column(basis, 15, SH_C3[6] * x * (xx - 3 * yy))
-
-
-SH_BLOCKS = 3
-"""Vectors that hold a splat's 16·3 coefficients."""
-
-SH_COLUMNS = SH_BLOCKS * LANES
-
-
-@inline
-def load_sh(flat_sh, starts, count, coefficients):
-    """The first `count` numbers of LANES splats' rows of SH, as columns: coefficients (SH_COLUMNS·LANES,) in
-    their dtype. Changes starts (LANES,) int64, where the rows begin."""
-    block = 0
-    while block * LANES < count:
-        load_rows(flat_sh, starts, min(count - block * LANES, LANES), coefficients, block * LANES * LANES)
-        starts += LANES
-        block += 1
-
-
-@inline
-def ask_for_sh(flat_sh, start, count):
-    """Asks for the memory of the first `count` numbers of a splat's row of SH, which begins at `start`: that
-    of the next group, while this one is worked on. Without, its rows are waited for."""
-    for at in range(0, count, LANES):
-        prefetch(flat_sh, start + at)
-
-
-@inline
-def sh_sum(coefficients, basis, count):
-    """0.5 + SH of a group: three columns in the dtype of `basis`, not yet cut at 0. Not finite where a
-    coefficient is not."""
-    red = green = blue = fill(column(basis, 0), 0.5)
-    for k in range(count):
-        weight = column(basis, k)
-        red = fma(weight, converted(column(coefficients, 3 * k), basis), red)
-        green = fma(weight, converted(column(coefficients, 3 * k + 1), basis), green)
-        blue = fma(weight, converted(column(coefficients, 3 * k + 2), basis), blue)
-    return red, green, blue
 
 
 # A group of LANES splats is worked on in columns of LANES float64 numbers each: first the loaded parameters,
@@ -284,16 +224,6 @@ def edit_splat(i, lane, edits, view, lanes):
 
 
 @inline
-def column(lanes, index):
-    return load(lanes, index * LANES)
-
-
-@inline
-def set_column(lanes, index, value):
-    store(lanes, index * LANES, value)
-
-
-@inline
 def three_columns(lanes, index):
     return column(lanes, index), column(lanes, index + 1), column(lanes, index + 2)
 
@@ -337,8 +267,9 @@ def if_three_finite(drawn, x, y, z):
 
 
 @inline
-def project_group(view, optics, surfels, lanes, first):
+def project_group(view, optics, surfels, lanes, first, pictures):
     """Fills the columns from FOOTPRINT on from the loaded ones, of PART_LANES splats from lane `first` on.
+    `pictures` is an array of the pictures' dtype.
 
     Of all LANES at once hardly a number stays in a register: `project` took 1.02 to 1.07 times as long.
     `project_backward` did not gain by it (1.03).
@@ -360,17 +291,17 @@ def project_group(view, optics, surfels, lanes, first):
     # guard: zero quaternions
     drawn = keep_if_at_least(drawn, largest, fill(largest, MIN_QUAT_COMPONENT))
     drawn = if_finite(if_three_finite(drawn, qw, qx, qy), qz)
-    shrink = one / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
     sx, sy, sz = three_parts(lanes, LOG_SCALE)
-    sx, sy, sz = exp_lanes(sx), exp_lanes(sy), exp_lanes(sz)
+    sx, sy, sz = exp_lanes(sx, pictures), exp_lanes(sy, pictures), exp_lanes(sz, pictures)
     drawn = if_three_finite(drawn, sx, sy, sz)
 
+    shrink = one / math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
     rotation = rotation_matrix(qw * shrink, qx * shrink, qy * shrink, qz * shrink)
-    opacity = sigmoid_lanes(column_part(lanes, LOGIT))
+    opacity = sigmoid_lanes(column_part(lanes, LOGIT), pictures)
     if surfels is None:
         axes = splat_axes(image_axes(lens, parallel, view, tx, ty, tz), rotation, sx, sy, sz)
     else:
-        bound = squared_extent(view, log2_lanes(opacity))
+        bound = squared_extent(view, log2_lanes(opacity, pictures))
         turned_axes = camera_axes(view, rotation)
         can_show, axes = project_surfels(
             view, surfels.perspective, tx, ty, tz, turned_axes, (sx, sy, sz), bound, lanes, SURFEL_ROW
@@ -383,14 +314,14 @@ def project_group(view, optics, surfels, lanes, first):
     drawn = keep_if_below(drawn, nothing, opacity)
     drawn = keep_if_at_least(drawn, opacity, fill(opacity, view.alpha_cut))
 
-    inverse_yy = one / yy
-    root_yy = math.sqrt(yy)
-    a, c = math.sqrt(yy / det), root_yy * inverse_yy
+    inverse = one / (yy * det)
+    inverse_yy, root_yy = inverse * det, math.sqrt(yy)
+    a, c = math.sqrt(yy * yy * inverse), root_yy * inverse_yy
     b = -(xy * inverse_yy * a)
     drawn = if_three_finite(drawn, a, b, c)
     x, y = image_point(lens, parallel, view, tx, ty, tz)
     drawn = if_finite(if_finite(drawn, x), y)
-    log2_opacity = log2_lanes(opacity)
+    log2_opacity = log2_lanes(opacity, pictures)
     extent = math.sqrt(squared_extent(view, log2_opacity))  # apart, as the product may overflow
     rx, ry = extent * math.sqrt(xx), extent * root_yy
     drawn = keep_if_at_least(drawn, x + rx, fill(x, 0.5))
@@ -408,16 +339,16 @@ def project_group(view, optics, surfels, lanes, first):
     set_column(lanes, FOOTPRINT + RX, rx)
     set_column(lanes, FOOTPRINT + RY, ry)
     most_alpha = min(view.max_alpha, MOST_ALPHA)
-    set_column(lanes, FOOTPRINT + LOG2_DROP, log2_lanes(one - min(opacity, most_alpha)))
+    set_column(lanes, FOOTPRINT + LOG2_DROP, log2_lanes(one - min(opacity, most_alpha), pictures))
 
 
 @inline
-def shade_group(degree, coefficients, basis, lanes):
-    """Fills the columns of colours, of the directions in the columns; what has none that is finite is not
-    drawn."""
+def shade_group(degree, flat_sh, starts, basis, lanes):
+    """Fills the columns of colours, of the directions in the columns and the rows of SH that begin at starts
+    (LANES,) int64; what has none that is finite is not drawn."""
     dx, dy, dz = three_columns(lanes, TOWARDS)
     sh_basis(converted(dx, basis), converted(dy, basis), converted(dz, basis), degree, basis)
-    red, green, blue = sh_sum(coefficients, basis, (degree + 1) * (degree + 1))
+    red, green, blue = sh_sum_of_rows(flat_sh, starts, 3 * (degree + 1) * (degree + 1), basis)
     red, green, blue = widened(red), widened(green), widened(blue)
     drawn, infinite = column(lanes, DRAWN), fill(red, np.inf)
     drawn = keep_if_below(drawn, abs(red), infinite)  # guard: finite colours
@@ -513,7 +444,6 @@ def project(
     splat meets, written.
     """
     basis = aligned(16 * LANES, records.dtype)
-    coefficients = aligned(SH_COLUMNS * LANES, sh.dtype)
     rows = aligned(RECORD * LANES, records.dtype)
     rows[:] = 0
     starts, met_rows = np.empty(LANES, np.int64), np.empty(LANES, np.uint16)
@@ -533,7 +463,7 @@ def project(
             if edits is not None and not edit_splat(splat, lane, edits, view, lanes):
                 return -1
         for part in range(0, LANES, PART_LANES):
-            project_group(view, optics, surfels, lanes, part)
+            project_group(view, optics, surfels, lanes, part, records)
         if not any_above(column(lanes, DRAWN), 0.0):
             continue
         own = degree
@@ -547,8 +477,7 @@ def project(
                 turn_back(min(first + lane, stop - 1), lane, edits, lanes)
         for lane in range(LANES):
             starts[lane] = np.int64(min(first + lane, stop - 1)) * (sh.shape[1] * 3)
-        load_sh(flat_sh, starts, 3 * (own + 1) * (own + 1), coefficients)
-        shade_group(own, coefficients, basis, lanes)
+        shade_group(own, flat_sh, starts, basis, lanes)
         if edits is not None:
             for lane in range(LANES):
                 recolour(min(first + lane, stop - 1), lane, edits, lanes)

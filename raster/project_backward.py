@@ -25,22 +25,24 @@ from splatview.raster.project import (
     LOGIT,
     OFFSET,
     QUAT,
-    SH_COLUMNS,
-    ask_for_sh,
     camera_point,
-    column,
     covariance,
     four_columns,
-    load_sh,
     load_splat,
     rotation_matrix,
-    set_column,
     set_three,
-    sh_basis,
-    sh_sum,
     sigmoid_lanes,
     splat_axes,
     three_columns,
+)
+from splatview.raster.sh import (
+    SH_COLUMNS,
+    ask_for_sh,
+    load_sh,
+    sh_basis,
+    sh_direction_gradient,
+    sh_sum,
+    store_sh_products,
 )
 from splatview.raster.simd import (
     LANES,
@@ -54,9 +56,8 @@ from splatview.raster.simd import (
     negate,
     widened,
 )
-from splatview.raster.transpose import finish_stores, load_rows, passes_caches, store_rows
+from splatview.raster.transpose import column, finish_stores, load_rows, passes_caches, set_column
 from splatview.scene.projection import FLOAT32_MAX
-from splatview.scene.sh import SH_C1, SH_C2, SH_C3
 
 POSE_BLOCK = SPLATS_PER_TASK
 """Splats whose pose gradients are added up together: a fixed number that no two tasks share, so that sums
@@ -74,35 +75,6 @@ def camera_to_world(view, x, y, z):
         r[0, 1] * x + r[1, 1] * y + r[2, 1] * z,
         r[0, 2] * x + r[1, 2] * y + r[2, 2] * z,
     )
-
-
-@inline
-def sh_direction_gradient(x, y, z, degree, along):
-    """The gradient by a unit direction of the sum over k of basis k times along[k]; along (16·LANES,),
-    columns."""
-    dx = dy = dz = fill(x, 0.0)
-    if degree >= 1:
-        dx = -SH_C1 * column(along, 3)
-        dy = -SH_C1 * column(along, 1)
-        dz = SH_C1 * column(along, 2)
-    if degree >= 2:
-        xx, yy, zz = x * x, y * y, z * z
-        a, b, c = SH_C2[0] * column(along, 4), SH_C2[1] * column(along, 5), 2 * SH_C2[2] * column(along, 6)
-        d, e = SH_C2[3] * column(along, 7), 2 * SH_C2[4] * column(along, 8)
-        dx = dx + (a * y - c * x + d * z + e * x)
-        dy = dy + (a * x + b * z - c * y - e * y)
-        dz = dz + (b * y + 2 * c * z + d * x)
-        if degree >= 3:
-            a, b, c = SH_C3[0] * column(along, 9), SH_C3[1] * column(along, 10), SH_C3[2] * column(along, 11)
-            d, e, f = SH_C3[3] * column(along, 12), SH_C3[4] * column(along, 13), SH_C3[5] * column(along, 14)
-            g = SH_C3[6] * column(along, 15)
-            dx = dx + (6 * a * x * y + b * y * z - 2 * c * x * y - 6 * d * x * z)
-            dx = dx + (e * (4 * zz - 3 * xx - yy) + 2 * f * x * z + 3 * g * (xx - yy))
-            dy = dy + (3 * a * (xx - yy) + b * x * z + c * (4 * zz - xx - 3 * yy) - 6 * d * y * z)
-            dy = dy - (2 * e * x * y + 2 * f * y * z + 6 * g * x * y)
-            dz = dz + (b * x * y + 8 * c * y * z + d * (6 * zz - 3 * xx - 3 * yy))
-            dz = dz + (8 * e * x * z + f * (xx - yy))
-    return dx, dy, dz
 
 
 @inline
@@ -157,9 +129,10 @@ COLUMNS = 36
 
 
 @inline
-def differentiate_group(view, optics, sums, lanes, by_view):
+def differentiate_group(view, optics, sums, lanes, by_view, pictures):
     """Fills the columns from D_POSITION on from the loaded ones and the splats' sums, columns too; `by_view`
-    None: without those that are nobody's gradient by a parameter, from D_MEAN2D on."""
+    None: without those that are nobody's gradient by a parameter, from D_MEAN2D on. `pictures` is an array of
+    the pictures' dtype."""
     lens, parallel = optics
     ox, oy, oz = three_columns(lanes, OFFSET)
     x, y, z = camera_point(view, ox, oy, oz)
@@ -168,13 +141,13 @@ def differentiate_group(view, optics, sums, lanes, by_view):
     qw, qx, qy, qz = qw * shrink, qx * shrink, qy * shrink, qz * shrink
     r = rotation_matrix(qw, qx, qy, qz)
     sx, sy, sz = three_columns(lanes, LOG_SCALE)
-    sx, sy, sz = exp_lanes(sx), exp_lanes(sy), exp_lanes(sz)
+    sx, sy, sz = exp_lanes(sx, pictures), exp_lanes(sy, pictures), exp_lanes(sz, pictures)
     p = image_axes(lens, parallel, view, x, y, z)
     m = splat_axes(p, r, sx, sy, sz)
     _, xy, yy, det, unblurred = covariance(m, view.blur)
 
     # Opacity: dln(opacity)/dlogit = 1 - opacity.
-    set_column(lanes, D_LOGIT, column(sums, T) * sigmoid_lanes(-column(lanes, LOGIT)))
+    set_column(lanes, D_LOGIT, column(sums, T) * sigmoid_lanes(-column(lanes, LOGIT), pictures))
 
     # Footprint: M = P·R·diag(s).
     d_m = axes_gradient(m, xy, yy, det, unblurred, view.blur, view.antialiased, sums)
@@ -245,9 +218,10 @@ def differentiate_group(view, optics, sums, lanes, by_view):
 @inline
 def differentiate_colours(view, optics, degree, sums, excess, lanes, basis, coefficients, along, by_view):
     """Adds what the colours' dependence on the direction moves to the columns of position and, unless
-    `by_view` is None, of the camera, and replaces the columns of `coefficients`, as `load_sh` has them, by
-    the gradients. basis and along (16·LANES,) are room to work in, in the dtype of the splats' sums, columns
-    too, and what is computed of colours has it too; `excess` times the sums are the gradients."""
+    `by_view` is None, of the camera; coefficients as `load_sh` has them. Returns three columns: products of
+    these and those of `basis` are the gradients by coefficients. basis and along (16·LANES,) are room to work
+    in, in the dtype of the splats' sums, columns too, and what is computed of colours has it too; `excess`
+    times the sums are the gradients."""
     nx, ny, nz = three_columns(lanes, DIRECTION)
     to_x, to_y, to_z = converted(nx, basis), converted(ny, basis), converted(nz, basis)
     count = (degree + 1) * (degree + 1)
@@ -262,10 +236,6 @@ def differentiate_colours(view, optics, degree, sums, excess, lanes, basis, coef
         by_red = d_red * converted(column(coefficients, 3 * k), basis)
         by_green = fma(d_green, converted(column(coefficients, 3 * k + 1), basis), by_red)
         set_column(along, k, fma(d_blue, converted(column(coefficients, 3 * k + 2), basis), by_green))
-        weight = column(basis, k)
-        set_column(coefficients, 3 * k, converted(weight * whole_red, coefficients))
-        set_column(coefficients, 3 * k + 1, converted(weight * whole_green, coefficients))
-        set_column(coefficients, 3 * k + 2, converted(weight * whole_blue, coefficients))
     dx, dy, dz = sh_direction_gradient(to_x, to_y, to_z, degree, along)
     dx, dy, dz = widened(dx) * excess, widened(dy) * excess, widened(dz) * excess
     radial = nx * dx + ny * dy + nz * dz
@@ -282,6 +252,7 @@ def differentiate_colours(view, optics, degree, sums, excess, lanes, basis, coef
         cx, cy, cz = camera_point(view, dx, dy, dz)
         tx, ty, tz = three_columns(lanes, D_SHIFT)
         set_three(lanes, D_SHIFT, tx + cx, ty + cy, tz + cz)
+    return whole_red, whole_green, whole_blue
 
 
 @inline
@@ -358,18 +329,15 @@ def project_backward(
         if pose_sums is not None:
             for index in range(ABS_X, ABS_Y + 1):
                 set_column(sums, index, widened(column(rows, index)) * excess)
-        differentiate_group(view, optics, sums, lanes, pose_sums)
+        differentiate_group(view, optics, sums, lanes, pose_sums, splat_sums)
         for lane in range(LANES):
             starts[lane] = np.int64(visible[min(group + lane, run_stop - 1)]) * numbers
         load_sh(flat_sh, starts, used, coefficients)
         colours = rows, excess, lanes, basis, coefficients, along, pose_sums
-        differentiate_colours(view, optics, degree, *colours)
-        coefficients[used * LANES :] = 0
+        red, green, blue = differentiate_colours(view, optics, degree, *colours)
         for lane in range(LANES):
             starts[lane] = np.int64(visible[min(group + lane, run_stop - 1)]) * numbers
-        for first in range(0, numbers, LANES):
-            store_rows(flat_d_sh, starts, min(numbers - first, LANES), coefficients, first * LANES, past)
-            starts += LANES
+        store_sh_products(flat_d_sh, starts, numbers, used, basis, red, green, blue, past)
         hold(lanes, D_MEAN2D if pose_sums is None else DIRECTION)
         for lane in range(min(LANES, run_stop - group)):
             i = np.int64(visible[group + lane])

@@ -24,6 +24,8 @@ from splatview.raster.simd import (
     float_type,
     intrinsic,
     is_flat,
+    load,
+    store,
     suffix,
 )
 
@@ -53,34 +55,81 @@ def _first_lanes(builder: Any, count: Any) -> Any:
     return builder.icmp_signed("<", ir.Constant(width, list(range(LANES))), emit_spread(builder, count))
 
 
-def _rows(context: Any, builder: Any, array: Any, value: Any, starts: Any, llvm_type: Any) -> list[Any]:
-    """Addresses in a flat array of the LANES rows that begin at starts (LANES,) int64."""
-    first = context.make_array(types.Array(types.int64, 1, "C"))(context, builder, starts).data
-    places = [builder.load(builder.gep(first, [ir.Constant(ir.IntType(64), lane)])) for lane in range(LANES)]
-    return [address_of(context, builder, array, value, place, llvm_type) for place in places]
+def _rows(
+    context: Any, builder: Any, array: Any, value: Any, starts: Any, llvm_type: Any, first: int
+) -> list[Any]:
+    """Addresses in a flat array of the numbers `first` of LANES rows that begin at starts (LANES,) int64."""
+    begins = context.make_array(types.Array(types.int64, 1, "C"))(context, builder, starts).data
+    places = [builder.load(builder.gep(begins, [ir.Constant(ir.IntType(64), lane)])) for lane in range(LANES)]
+    within = [builder.add(place, ir.Constant(place.type, first)) for place in places] if first else places
+    return [address_of(context, builder, array, value, place, llvm_type) for place in within]
 
 
 STARTS = types.Array(types.int64, 1, "C")
+
+
+def emit_columns_of_rows(
+    context: Any, builder: Any, array: Any, values: Any, starts: Any, first: int, count: Any
+) -> list[Any]:
+    """Columns: LANES numbers of each of LANES rows of a flat array, from the row's `first` on; 0 from `count`
+    of them on."""
+    vector = Vector(array.dtype)
+    llvm_type = float_type(context, vector)
+    mask, align = _first_lanes(builder, count), ir.Constant(ir.IntType(32), array.dtype.bitwidth // 8)
+    name, zero = f"llvm.masked.load.{suffix(vector)}.p0", constant(llvm_type, 0.0)
+    rows = [
+        call_llvm(builder, name, llvm_type, row, align, mask, zero)
+        for row in _rows(context, builder, array, values, starts, llvm_type, first)
+    ]
+    return _transposed(builder, rows)
+
+
+def emit_rows_of_columns(
+    context: Any,
+    builder: Any,
+    array: Any,
+    values: Any,
+    starts: Any,
+    first: int,
+    columns: list[Any],
+    count: Any,
+    past: Any,
+) -> None:
+    """What `emit_columns_of_rows` reads, written: the first `count` of LANES columns; past the caches, where
+    these are all and `past` says so."""
+    llvm_type, align = columns[0].type, array.dtype.bitwidth // 8
+    addresses = _rows(context, builder, array, values, starts, llvm_type, first)
+    rows = list(zip(addresses, _transposed(builder, columns), strict=True))
+    whole = builder.icmp_signed("==", count, ir.Constant(count.type, LANES))
+    with builder.if_else(whole) as (then, otherwise):
+        with then, builder.if_else(past) as (beyond, within):
+            with beyond:
+                number = ir.Constant(ir.IntType(32), 1)
+                for address, row in rows:
+                    stored = builder.store(row, address, align=CACHE_LINE)
+                    stored.set_metadata("nontemporal", builder.module.add_metadata([number]))
+            with within:
+                for address, row in rows:
+                    builder.store(row, address, align=align)
+        with otherwise:
+            mask = _first_lanes(builder, count)
+            name = f"llvm.masked.store.{suffix(Vector(array.dtype))}.p0"
+            for address, row in rows:
+                number = ir.Constant(ir.IntType(32), align)
+                call_llvm(builder, name, ir.VoidType(), row, address, number, mask)
 
 
 @intrinsic
 def _load_rows(typingctx: Any, array: Any, starts: Any, count: Any, columns: Any, index: Any) -> Any:
     if not (is_flat(array) and starts == STARTS and columns == array):
         return None
-    vector = Vector(array.dtype)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         values, starts, count, columns, index = args
-        llvm_type = float_type(context, vector)
-        mask, align = _first_lanes(builder, count), ir.Constant(ir.IntType(32), array.dtype.bitwidth // 8)
-        zero = constant(llvm_type, 0.0)
-        rows = [
-            call_llvm(builder, f"llvm.masked.load.{suffix(vector)}.p0", llvm_type, row, align, mask, zero)
-            for row in _rows(context, builder, array, values, starts, llvm_type)
-        ]
-        for lane, column in enumerate(_transposed(builder, rows)):
+        loaded = emit_columns_of_rows(context, builder, array, values, starts, 0, count)
+        for lane, column in enumerate(loaded):
             place = builder.add(index, ir.Constant(index.type, lane * LANES))
-            address = address_of(context, builder, array, columns, place, llvm_type)
+            address = address_of(context, builder, array, columns, place, column.type)
             builder.store(column, address, align=array.dtype.bitwidth // 8)
         return context.get_dummy_value()
 
@@ -89,42 +138,24 @@ def _load_rows(typingctx: Any, array: Any, starts: Any, count: Any, columns: Any
 
 @intrinsic
 def _store_rows(
-    typingctx: Any, array: Any, starts: Any, count: Any, columns: Any, index: Any, whole: Any, past: Any
+    typingctx: Any, array: Any, starts: Any, count: Any, columns: Any, index: Any, past: Any
 ) -> Any:
     if not (is_flat(array) and starts == STARTS and columns == array):
         return None
     vector = Vector(array.dtype)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        values, starts, count, columns, index, whole, past = args
+        values, starts, count, columns, index, past = args
         llvm_type = float_type(context, vector)
-        align = array.dtype.bitwidth // 8
         loaded = []
         for lane in range(LANES):
             place = builder.add(index, ir.Constant(index.type, lane * LANES))
             address = address_of(context, builder, array, columns, place, llvm_type)
-            loaded.append(builder.load(address, align=align))
-        addresses = _rows(context, builder, array, values, starts, llvm_type)
-        rows = list(zip(addresses, _transposed(builder, loaded), strict=True))
-        with builder.if_else(whole) as (then, otherwise):
-            with then, builder.if_else(past) as (beyond, within):
-                with beyond:
-                    number = ir.Constant(ir.IntType(32), 1)
-                    for address, row in rows:
-                        stored = builder.store(row, address, align=CACHE_LINE)
-                        stored.set_metadata("nontemporal", builder.module.add_metadata([number]))
-                with within:
-                    for address, row in rows:
-                        builder.store(row, address, align=align)
-            with otherwise:
-                mask, name = _first_lanes(builder, count), f"llvm.masked.store.{suffix(vector)}.p0"
-                for address, row in rows:
-                    number = ir.Constant(ir.IntType(32), align)
-                    call_llvm(builder, name, ir.VoidType(), row, address, number, mask)
+            loaded.append(builder.load(address, align=array.dtype.bitwidth // 8))
+        emit_rows_of_columns(context, builder, array, values, starts, 0, loaded, count, past)
         return context.get_dummy_value()
 
-    flags = types.boolean, types.boolean
-    return types.void(array, starts, types.intp, columns, types.intp, *flags), codegen
+    return types.void(array, starts, types.intp, columns, types.intp, types.boolean), codegen
 
 
 @intrinsic
@@ -205,7 +236,7 @@ def store_rows(array, starts, count, columns, index, past):
     """
     if BOUNDSCHECK:
         _check_rows(array, starts, count, columns, index)
-    _store_rows(array, starts, count, columns, index, count == LANES, past)
+    _store_rows(array, starts, count, columns, index, past)
 
 
 @inline
@@ -216,10 +247,18 @@ def passes_caches(array, numbers):
 
 
 @inline
-def _check_rows(array, starts, count, columns, index):
+def check_row_starts(array, starts, count):
+    """Raises IndexError where one of LANES rows of `count` numbers, from `starts` on, is not in an array."""
     for lane in range(LANES):
-        if starts[lane] < 0 or count > LANES or starts[lane] + count > array.size:
+        if starts[lane] < 0 or starts[lane] + count > array.size:
             raise IndexError("a row reaches beyond its array")
+
+
+@inline
+def _check_rows(array, starts, count, columns, index):
+    check_row_starts(array, starts, count)
+    if count > LANES:
+        raise IndexError("a row has more numbers than there are columns")
     if index < 0 or index + LANES * LANES > columns.size:
         raise IndexError("a vector reaches beyond its array")
 
@@ -231,3 +270,14 @@ def store_interleaved(array, index, second, red, green, blue, alpha):
     if BOUNDSCHECK and (min(index, second) < 0 or max(index, second) + 4 * BLOCK_WIDTH > array.size):
         raise IndexError("a block reaches beyond its picture")
     _store_interleaved(array, index, second, red, green, blue, alpha)
+
+
+@inline
+def column(lanes, index):
+    """The vector of a column, by its number, of an array of columns of LANES numbers each."""
+    return load(lanes, index * LANES)
+
+
+@inline
+def set_column(lanes, index, value):
+    store(lanes, index * LANES, value)

@@ -1,9 +1,9 @@
 """Forward and backward of a small training picture, beside what CPU peers take for theirs.
 
-    python tools/bench/bench_step.py [SCENE.ply[=CAMERA.json] ...] [--size WxH]
+    python tools/bench/bench_step.py [SCENE.ply[=CAMERA.json] | SPLATS ...] [--size WxH]
 
-A camera is our JSON or one with "viewmat" for its matrix; without it the whole scene is framed. Without a
-scene the rasteriser's synthetic one is drawn with 5,000, 20,000 and 100,000 splats.
+A camera is our JSON or one with "viewmat" for its matrix; without it the whole scene is framed. A number is
+the rasteriser's synthetic scene of so many splats; without any, of 5,000, 20,000 and 100,000.
 """
 
 from __future__ import annotations
@@ -36,11 +36,12 @@ def read_camera(path: Path) -> Camera:
 
 
 def cases(names: list[str], size: tuple[int, int]) -> list[tuple[str, Gaussians, Camera]]:
-    if not names:
-        counts = sorted(PEER_MS)
-        return [(f"synthetic, {n:,}", synthetic_scene(n), synthetic_camera(*size)) for n in counts]
     found = []
-    for name in names:
+    for name in names or map(str, sorted(PEER_MS)):
+        if name.isdecimal():
+            count = int(name)
+            found.append((f"synthetic, {count:,}", synthetic_scene(count), synthetic_camera(*size)))
+            continue
         scene, _, camera = name.partition("=")
         gaussians = load_scene(scene)
         view = read_camera(Path(camera)).resized(*size) if camera else frame_camera(gaussians, *size)
