@@ -82,7 +82,7 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
         if name not in ELSEWHERE:
             arrays[f"control.{STATE_NAMES.get(name, name)}"] = np.atleast_1d(value)
     arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
-    evidence = trainer.resolution.state() | trainer.outliers.state()
+    evidence = trainer.resolution.state() | trainer.outliers.state() | trainer.withheld.state()
     evidence["nearest_depths"] = trainer.nearest_depths
     arrays |= {f"evidence.{name}": array for name, array in evidence.items()}
     description = {
@@ -150,6 +150,10 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     if "outliers" in checkpoint.evidence:
         trainer.outliers.restore(checkpoint.evidence)
         trainer.leave_out(trainer.outliers.left_out)
+    if "withheld" in checkpoint.evidence:
+        trainer.withheld.restore(checkpoint.evidence)
+        if trainer.withheld.given_back:
+            trainer.views.withhold(None)
     trainer.nearest_depths = checkpoint.evidence.get("nearest_depths", np.zeros(len(ours)))
     if trainer.nearest_depths.shape != (len(ours),):
         raise InputError("the checkpoint's depths are not as many as its photos; it is damaged")

@@ -276,6 +276,7 @@ class TrainingRun:
         """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
         exposures, outliers = self.trainer.exposures, self.trainer.outliers
         undecided, unsure = not exposures.is_decided, not outliers.is_decided
+        settled_at = self.trainer.withheld.settled_at
         loss = self.trainer.loss
         unknown = loss is not None and loss.replaces is None
         report = self.trainer.step(self.seconds)
@@ -292,6 +293,11 @@ class TrainingRun:
                 self.on_note(f"{OUTLIERS}: {outliers.evidence}; --outliers off trains on them")
             elif disagreeing(outliers.correlations).any():
                 self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check their poses if they look wrong")
+        if self.trainer.withheld.settled_at > settled_at:
+            self.on_note(
+                f"photos agree about no more than the scene shows after {report.iteration:,} steps: the run"
+                f" settles, and ends after {self.trainer.settings.iterations:,}; --iterations asks for more"
+            )
         if self.trainer.done and self.trainer.settings.most_of_one < 1:
             self.effects = with_passing(self.effects, self.trainer.passed)
             if self.trainer.passed:

@@ -319,6 +319,9 @@ class TrainSettings(StrategySettings):
     """Share of a splat's contributions to all photos, of which one photo may have more only where nothing
     that others show is behind it: else it goes as the run ends, unless the photos are met so well that
     nothing has to stand for missing ones (`full_reg_loss`); 1: all may stay. See `free_space`."""
+    withheld: float = 0.0
+    """Share of the photos' pixels that a run does without at first, to see whether it still learns; 0: none.
+    It may then end sooner than after `iterations`, see `withheld`."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -355,6 +358,8 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"most_of_one must be 0.5 to 1, got {self.most_of_one}")
         if not self.max_size > 0:
             raise ValueError(f"max_size must be above 0, got {self.max_size}")
+        if not 0 <= self.withheld <= 0.5:
+            raise ValueError(f"withheld must be 0 to 0.5, got {self.withheld}")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"dropout must be at least 0 and below 1, got {self.dropout}")
         if self.strategy not in STRATEGIES:
@@ -417,6 +422,7 @@ WITHOUT_WORD = {
     "least_visibility": 0.0,
     "most_of_one": 1.0,
     "max_size": math.inf,
+    "withheld": 0.0,
 }
 """Fields that older checkpoints do not have, as their runs went."""
 

@@ -33,6 +33,7 @@ from splatview.trainer.strategies import STRATEGIES, Strategy
 from splatview.trainer.strategies.mcmc import need_of_reg
 from splatview.trainer.strategies.ops import keep, raise_sh_degree
 from splatview.trainer.views import TrainView, TrainViews
+from splatview.trainer.withheld import GIVEN_BACK, SETTLED, Withheld
 
 KEPT = ("seed", "strategy", "background", "model", "exposure", "outliers")
 """Settings that a run keeps from its first step to its last."""
@@ -108,6 +109,8 @@ class Trainer:
         self.passed: int | None = None
         """Splats of one photo alone that went as the run ended, see `free_space`; None: nobody has looked."""
         self.outliers = Outliers([view.camera.name for view in views.all], settings.outliers)
+        self.withheld = Withheld(views.all, settings.withheld, settings.seed)
+        views.withhold(self.withheld.blocks or None)
         self.resolution = ProgressiveResolution(views)
         """Size of the photos, where the recipe leaves it to evidence."""
         self.picture_dtype: type[np.floating] = np.float32
@@ -126,6 +129,8 @@ class Trainer:
     def downscale(self) -> int:
         """The factor by which photos are smaller in the next step."""
         progress, schedule = self.progress, self.settings.resolution
+        if self.withheld.coarse_is_over:
+            return 1
         if schedule is None:
             return self.resolution.factor_at(progress)
         return next((factor for until, factor in schedule if progress < until), 1)
@@ -221,6 +226,7 @@ class Trainer:
             counters.prepared = counters.seconds
         progress = self.progress
         raise_sh_degree(splats, optimizer, max(settings.sh_degree_at(progress), splats.sh_degree))
+        self._watch_withheld(progress)
         self._decide_outliers(progress)
         self._decide_exposures(progress)
 
@@ -423,6 +429,43 @@ class Trainer:
             self.leave_out(outliers.left_out)
         elif outliers.is_missed(progress):
             outliers.is_decided = True
+
+    def _watch_withheld(self, progress: float) -> None:
+        """Measures what is withheld now and then, ends the coarse stage when it teaches no more, and has the
+        run settle when full size does not either. See `withheld`."""
+        withheld, settings = self.withheld, self.settings
+        if withheld.given_back:
+            return
+        if progress >= GIVEN_BACK:
+            self._give_back()
+        elif withheld.is_due(self.counters.iteration * settings.batch, settings.batch):
+            with self.clock.stage("withheld"):
+                exposure_of = self.exposures.of if self.exposures.is_on else None
+                error = np.array(
+                    [
+                        withheld.error(
+                            self.splats.arrays,
+                            self.views.all,
+                            self.render_settings,
+                            exposure_of,
+                            self.threads,
+                        )
+                    ]
+                )
+            self.group.add_up([error])  # processes must agree
+            factor = self.downscale
+            if withheld.teaches(float(error[0]) / self.group.size, factor):
+                return
+            if factor > 1:
+                withheld.coarse_is_over = True
+            else:
+                withheld.settled_at = self.counters.iteration
+                self.change(iterations=math.ceil(self.counters.iteration / SETTLED))
+                self._give_back()
+
+    def _give_back(self) -> None:
+        self.withheld.given_back = True
+        self.views.withhold(None)
 
     def measure_exposures(self) -> None:
         """Compares photos where splats begin, if these are places of the scene: so that what is decided about

@@ -111,6 +111,7 @@ class TrainViews:
         self.focal = float(np.median([view.camera.fx for view in views]))
         """Median focal length in full size, px."""
         self._sizes: dict[int, list[TrainView]] = {1: list(views)}
+        self._parts: dict[int, list[TrainView]] | None = None
         self._taken = np.arange(len(views))
         self._seed = seed
         self._epoch = -1
@@ -176,6 +177,28 @@ class TrainViews:
         """Others in the place of all photos, in the same order of steps."""
         return TrainViews(views, self._seed)
 
+    def withhold(self, blocks: Sequence[np.ndarray] | None) -> None:
+        """Steps take photos without these pixels, (H, W) bool for each, until they are given back: None."""
+        if blocks is None:
+            self._parts = None
+            return
+        pairs = zip(self.all, blocks, strict=True)
+        masks = [~part if view.mask is None else view.mask & ~part for view, part in pairs]
+        self._parts = {1: [replace(view, mask=mask) for view, mask in zip(self.all, masks, strict=True)]}
+
+    def _trained(self, factor: int) -> list[TrainView]:
+        """What steps take of all photos, smaller by a factor."""
+        if self._parts is None:
+            return self.sized(factor)
+        if factor not in self._parts:
+            whole, parts = self._parts[1], []
+            for view, part in zip(self.sized(factor), whole, strict=True):
+                height, width = view.pixels.shape[:2]
+                mask = part.mask
+                parts.append(view if mask is None else replace(view, mask=wholly_valid(mask, width, height)))
+            self._parts = {1: whole, factor: parts}
+        return self._parts[factor]
+
     def sized(self, factor: int) -> list[TrainView]:
         """All photos, smaller by a factor."""
         if factor not in self._sizes:
@@ -189,4 +212,4 @@ class TrainViews:
             # From seed and epoch alone, so that a resumed run goes on with the same photos.
             self._order = np.random.default_rng([self._seed, epoch]).permutation(self._taken)
             self._epoch = epoch
-        return self.sized(factor)[self._order[place]]
+        return self._trained(factor)[self._order[place]]

@@ -18,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 import sky_scenes
+import wood_scene
 from PIL import Image
 from public_captures import PUBLIC
 
@@ -246,6 +247,16 @@ def outdoors(
     return make
 
 
+def from_above(wind: float) -> Callable[[Path, Path], None]:
+    """A wood, whose trees and leaves wind moves so far from photo to photo."""
+
+    def make(data: Path, folder: Path) -> None:
+        scene, cameras, pictures = wood_scene.flown_over(wind)
+        write(capture_from(pictures, cameras, surface_points(scene, 1)), folder)
+
+    return make
+
+
 def moved(scene: Gaussians, camera: Camera, rng: np.random.Generator) -> np.ndarray:
     """The mean of pictures along a short way: a photo taken by a hand in motion, some 4 px long."""
     _, radius = bulk(scene)
@@ -277,6 +288,8 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "demo hard 40": ("judge", demo("hard")),
     "demo lens 40": ("judge", demo("lens")),
     "demo night 40": ("judge", demo("night")),
+    "wood 18": ("judge", from_above(0.0)),
+    "wood wind 18": ("judge", from_above(0.04)),
     "demo sky 40": ("choose", outdoors(sky_scenes.demo_outdoors, 40)),
     "biker sky 30": ("choose", outdoors(sky_scenes.biker_outdoors, 30)),
     "biker room 40": ("choose", outdoors(sky_scenes.biker_indoors, 40)),
