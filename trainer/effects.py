@@ -29,6 +29,7 @@ from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
 from splatview.trainer.settings import TrainSettings, automatic_regularisation
 from splatview.trainer.sky import Sky
 from splatview.trainer.strategies.mcmc import LEAST_REG
+from splatview.trainer.withheld import CHECK_ROUNDS, GIVEN_BACK, Withheld
 
 SCALE_RATIO = 3.0
 """Of the scales at which photos show the scene, from which on training is antialiased: see above."""
@@ -47,11 +48,15 @@ PASSING = "splats of one photo"
 
 SKY = "sky"
 
+BLOCKS = "withheld blocks"
+
 FEW_PHOTOS = "rules for few photos"
 
 COVERED = "weaker regularisers"
 
 EASED = "; eased to "
+
+TOLD = "; "
 
 Antialiased = Literal["auto", "on", "off"]
 
@@ -104,6 +109,7 @@ def capture_effects(
         _background(capture, settings),
         _sky(settings),
         _covered(len(capture.train), settings, covered),
+        _blocks(settings),
         _few_photos(len(capture.train), settings),
     )
 
@@ -152,6 +158,27 @@ def with_passing(effects: tuple[Effect, ...], count: int | None) -> tuple[Effect
     return tuple(
         replace(effect, on=bool(count), why=why) if effect.name == PASSING else effect for effect in effects
     )
+
+
+def with_withheld(effects: tuple[Effect, ...], withheld: Withheld) -> tuple[Effect, ...]:
+    """The same once blocks are given back, and the run goes on or settles."""
+    why = "until then the scene became better where photos did without them, or hardly worse"
+    if withheld.settled_at:
+        why = f"photos agreed about no more after {withheld.settled_at:,} steps: the run settled"
+    return tuple(
+        replace(effect, why=f"{effect.why.split(TOLD)[0]}{TOLD}{why}")
+        if effect.name == BLOCKS and effect.on
+        else effect
+        for effect in effects
+    )
+
+
+def _blocks(settings: TrainSettings) -> Effect:
+    why = f"{settings.withheld:.0%} of each photo until {GIVEN_BACK:.0%} of the run"
+    if not settings.withheld:
+        why = "none: photos are not few, or the number of steps was asked for"
+    saving = Saving(what=f"a picture of each photo's view, every {CHECK_ROUNDS} rounds of photos")
+    return Effect(name=BLOCKS, on=settings.withheld > 0, why=why, saving=saving)
 
 
 def _passing(settings: TrainSettings) -> Effect:

@@ -29,6 +29,7 @@ from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.counters import NothingSeen, PluginError, StepReport
 from splatview.trainer.distributed import PeerLost
 from splatview.trainer.effects import (
+    BLOCKS,
     EXPOSURE,
     FEW_PHOTOS,
     OUTLIERS,
@@ -37,6 +38,7 @@ from splatview.trainer.effects import (
     with_exposure,
     with_outliers,
     with_passing,
+    with_withheld,
 )
 from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
 from splatview.trainer.memory import MemoryPlan
@@ -276,7 +278,7 @@ class TrainingRun:
         """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
         exposures, outliers = self.trainer.exposures, self.trainer.outliers
         undecided, unsure = not exposures.is_decided, not outliers.is_decided
-        settled_at = self.trainer.withheld.settled_at
+        watching = not self.trainer.withheld.given_back
         loss = self.trainer.loss
         unknown = loss is not None and loss.replaces is None
         report = self.trainer.step(self.seconds)
@@ -293,11 +295,13 @@ class TrainingRun:
                 self.on_note(f"{OUTLIERS}: {outliers.evidence}; --outliers off trains on them")
             elif disagreeing(outliers.correlations).any():
                 self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check their poses if they look wrong")
-        if self.trainer.withheld.settled_at > settled_at:
-            self.on_note(
-                f"photos agree about no more than the scene shows after {report.iteration:,} steps: the run"
-                f" settles, and ends after {self.trainer.settings.iterations:,}; --iterations asks for more"
-            )
+        if watching and self.trainer.withheld.given_back:
+            self.effects = with_withheld(self.effects, self.trainer.withheld)
+            if self.trainer.withheld.settled_at:
+                self.on_note(
+                    f"{BLOCKS}: photos agree about no more than the scene has learnt: the run settles, and"
+                    f" ends after {self.trainer.settings.iterations:,} steps; --iterations asks for more"
+                )
         if self.trainer.done and self.trainer.settings.most_of_one < 1:
             self.effects = with_passing(self.effects, self.trainer.passed)
             if self.trainer.passed:

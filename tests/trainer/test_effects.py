@@ -15,6 +15,7 @@ from splatview.scene.captures.capture import Photo, PhotoStatistics, Pixels
 from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.formats import load_scene
 from splatview.trainer.effects import (
+    BLOCKS,
     COVERED,
     FEW_PHOTOS,
     OUTLIERS,
@@ -95,12 +96,15 @@ def test_each_effect_names_its_evidence():
     assert not plain["exposure of each photo"][0]
     assert plain["SH bands"][1].startswith("band 1 from 3%, 2 from 7%, 3 from 10%")
     assert told(capture([2.0] * 4), sh_degree=0)["SH bands"][0] is False
+    assert not plain[BLOCKS][0] and "photos are not few" in plain[BLOCKS][1]
+    assert told(capture([2.0] * 4), withheld=0.06)[BLOCKS] == (True, "6% of each photo until 45% of the run")
 
     rich = told(
         capture([2.0] * 4, masks=2, hidden=0.125, lenses=3, displacement=12.3, transparent=1), exposure="on"
     )
     assert {name for name, (on, _) in rich.items() if on} == set(rich) - {
         "antialiased opacity",
+        BLOCKS,
         SKY,
         COVERED,
         FEW_PHOTOS,

@@ -13,7 +13,10 @@ import pytest
 
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
+from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
+from splatview.trainer.effects import BLOCKS
+from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for
 from splatview.trainer.trainer import Trainer
@@ -182,3 +185,17 @@ def test_only_runs_that_few_photos_end_withhold(
     assert recipe(capture, photos, withheld=0.1).withheld == 0.1
     with pytest.raises(ValueError, match="withheld must be 0 to"):
         recipe(capture, photos, withheld=math.nan)
+
+
+def test_a_run_says_what_blocks_have_told(views: list[TrainView], start: Parameters, tmp_path: Path) -> None:
+    trainer, notes = trainer_of(views, start), []
+    effect = Effect(name=BLOCKS, on=True, why="6% of each photo", saving=Saving())
+    outputs = Outputs(
+        scene=tmp_path / "s.ply", checkpoint=tmp_path / "s.safetensors", metrics=None, pictures=tmp_path / "p"
+    )
+    run = TrainingRun(trainer, [], outputs, started=0.0, effects=(effect,), on_note=notes.append)
+    trainer.withheld.settled_at = 1234
+    trainer.counters.iteration = 3000
+    run.step()
+    assert "after 1,234 steps" in run.effects[0].why and run.effects[0].why.startswith("6% of each photo")
+    assert any("ends after 4,000 steps; --iterations asks for more" in note for note in notes)
