@@ -220,10 +220,9 @@ def _prepare(
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     known = checkpoint.settings if checkpoint else None
-    watches = options.iterations is None and automatic_steps(len(views)) is not None
     # Where photos are empty, and which of their pixels are withheld, are one more number each for all pixels.
     more = (known is None or known.backdrop == "auto") and find_backdrop(views.all) is not None
-    more += watches if known is None else known.withheld > 0
+    more += known is not None and known.withheld > 0
     if more:
         sizes = sizes_of_capture(capture)
         memory = room_for(replace(sizes, planes=sizes.planes + more), points=own_points(capture)["points"])
@@ -235,7 +234,7 @@ def _prepare(
         trainer, planned = _new_trainer(
             capture, views, centre, seed, batch, options, group, loss, console, memory, bound, machine.threads
         )
-        if watches:
+        if options.iterations is None and automatic_steps(len(views)) is not None:
             say(
                 console,
                 f"{len(views)} photos are few: {trainer.settings.iterations:,} steps at most, for more would"

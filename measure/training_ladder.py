@@ -74,7 +74,7 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("dropout", off={"dropout": 0.0}),
     *_rungs("elongation", free={"max_aspect": math.inf}),
     *_rungs("steps", as_many_as_fit={"iterations": None}),
-    *_rungs("withheld blocks", none={"withheld": 0.0}),
+    *_rungs("withheld blocks", six_percent={"withheld": 0.06}),
     *_rungs("photos of a step", one={"batch": 1}, two={"batch": 2}),
     *_rungs("optimiser", all_splats={"visible_only": False}),
     *_rungs("precision", float64={"precision": "float64"}),

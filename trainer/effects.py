@@ -176,7 +176,7 @@ def with_withheld(effects: tuple[Effect, ...], withheld: Withheld) -> tuple[Effe
 def _blocks(settings: TrainSettings) -> Effect:
     why = f"{settings.withheld:.0%} of each photo until {GIVEN_BACK:.0%} of the run"
     if not settings.withheld:
-        why = "none: photos are not few, or the number of steps was asked for"
+        why = "none was asked for"
     saving = Saving(what=f"a picture of each photo's view, every {CHECK_ROUNDS} rounds of photos")
     return Effect(name=BLOCKS, on=settings.withheld > 0, why=why, saving=saving)
 

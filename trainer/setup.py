@@ -55,7 +55,6 @@ from splatview.trainer.sky import find_sky, with_sky
 from splatview.trainer.stereo import stereo_points, thinned
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
-from splatview.trainer.withheld import WITHHELD
 
 LEAST_FOUND, MOST_FOUND = 500, 20_000
 """Points by stereo that show a scene, fewer being chance matches; and those that are used: density control
@@ -91,12 +90,10 @@ def settings_for(
         fields["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
     weight = automatic_regularisation(photos, views.covered(fields["background"]))
     batch = automatic_batch(timed, automatic_steps(photos), threads)
-    watches = iterations is None and automatic_steps(photos) is not None
     if iterations is None:
         iterations = automatic_steps(photos) or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))
     automatic: dict[str, Any] = {
-        "withheld": WITHHELD if watches else 0.0,
         "batch": batch,
         "opacity_reg": weight,
         "scale_reg": weight,

@@ -18,7 +18,7 @@ from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoi
 from splatview.trainer.effects import BLOCKS
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.setup import settings_for
+from splatview.trainer.setup import memory_of, settings_for
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 from splatview.trainer.withheld import (
@@ -27,7 +27,6 @@ from splatview.trainer.withheld import (
     FULL_RISE,
     GIVEN_BACK,
     SETTLED,
-    WITHHELD,
     Withheld,
 )
 
@@ -175,16 +174,20 @@ def test_a_resumed_run_goes_on_alike(views: list[TrainView], start: Parameters, 
     assert other.withheld.given_back and other.views.at(0).mask is None
 
 
-def test_only_runs_that_few_photos_end_withhold(
+def test_only_who_asks_for_it_does_without(
     views: list[TrainView], points: tuple[np.ndarray, np.ndarray]
 ) -> None:
     capture, photos = capture_of(views, *points), TrainViews(views, 0)
     recipe: Callable[..., TrainSettings] = settings_for
-    assert recipe(capture, photos, minutes=1.0).withheld == recipe(capture, photos).withheld == WITHHELD
-    assert recipe(capture, photos, iterations=1000).withheld == 0
-    assert recipe(capture, photos, withheld=0.1).withheld == 0.1
-    with pytest.raises(ValueError, match="withheld must be 0 to"):
-        recipe(capture, photos, withheld=math.nan)
+    assert recipe(capture, photos, minutes=1.0).withheld == 0
+    chosen = recipe(capture, photos, minutes=1.0, withheld=0.06)
+    assert chosen.withheld == 0.06
+    assert (
+        memory_of(capture, chosen, photos).photos > memory_of(capture, recipe(capture, photos), photos).photos
+    )
+    for wrong in (math.nan, -0.1, 0.6):
+        with pytest.raises(ValueError, match="withheld must be 0 to"):
+            recipe(capture, photos, withheld=wrong)
 
 
 def test_a_run_says_what_blocks_have_told(views: list[TrainView], start: Parameters, tmp_path: Path) -> None:
