@@ -11,8 +11,8 @@ no more than it has learnt. From `GIVEN_BACK` of the run on photos are whole.
 Nothing is withheld unless that is asked for. Three minutes of the bench with 0.06, three splits each
 (withheld.json): `wood wind 18`, whose leaves move from photo to photo, gains 1.0 dB; `beach`, `kermit` and
 `toy`, where few photos show a place and none can be spared, lose 0.15, 0.9 and 0.2 (after fits of exposure;
-chance is as large). The factors and `SETTLED` were chosen on `beach`, `kermit` and `bust`, one split each. Whole
-photos that are withheld tell less: see `settings.automatic_steps`.
+chance is as large). The factors and `SETTLED` were chosen on `beach`, `kermit` and `bust`, one split each.
+Whole photos that are withheld tell less: see `settings.automatic_steps`.
 """
 
 from __future__ import annotations
