@@ -35,7 +35,7 @@ from splatview.trainer.strategies.ops import keep, raise_sh_degree
 from splatview.trainer.views import TrainView, TrainViews
 from splatview.trainer.withheld import GIVEN_BACK, SETTLED, Withheld
 
-KEPT = ("seed", "strategy", "background", "model", "exposure", "outliers")
+KEPT = ("seed", "strategy", "background", "model", "exposure", "outliers", "withheld")
 """Settings that a run keeps from its first step to its last."""
 
 LOSS_SHARE = 0.01

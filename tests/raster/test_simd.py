@@ -87,7 +87,8 @@ def test_exp_and_log2(dtype, error):
 
 @pytest.mark.parametrize(("dtype", "error"), [(np.float32, 1.2e-10), (np.float64, 1e-15)])
 def test_exp_at_the_ends(dtype, error):
-    """Every kind of NaN stays NaN, and what is too large or too small stops at the last normal number."""
+    """Every kind of NaN stays NaN, and what is too large or too small stops at the last normal number; just
+    below it an error counts twice, where numbers are half as dense."""
     numbers = np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 800, -800, 0] * 2)
     numbers[8] = np.array([0x7FF8000000000FFF], np.uint64).view(np.float64)[0]
     out = np.empty(32)

@@ -131,6 +131,11 @@ def test_a_stage_teaches_until_the_error_rises() -> None:
     assert withheld.teaches(math.nan, 1)
 
 
+def test_what_is_withheld_cannot_be_changed_in_a_run(views: list[TrainView], start: Parameters) -> None:
+    with pytest.raises(ValueError, match="withheld cannot be changed in a run"):
+        trainer_of(views, start).change(withheld=0.0)
+
+
 def test_a_run_that_learns_goes_on_and_gets_its_blocks_back(
     views: list[TrainView], start: Parameters
 ) -> None:
