@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 
 from splatview.measure.hard_cases.case import (
+    FADED_FLOAT16,
     FRONT,
     ONLY_PLAIN,
     TURNED,
@@ -106,8 +107,14 @@ CASES = (
         "2000 coincident splats",
         "Faint ones, one place: a long list in few tiles.",
         lambda: coincident(2000, -4.0),
+        bound_float16=FADED_FLOAT16,
     ),
-    case("2000 opaque coincident splats", "The first few hide the others.", lambda: coincident(2000, 6.0)),
+    case(
+        "2000 opaque coincident splats",
+        "The first few hide the others.",
+        lambda: coincident(2000, 6.0),
+        bound_float16=FADED_FLOAT16,
+    ),
     case("depths one float32 apart", "16-bit keys cannot tell them.", close_in_depth),
     case("depths from 0.02 to 10⁷", "Keys by range lose the near ones.", depths_of_all_sizes),
     case("discs through each other", "Their middles decide.", through_each_other),

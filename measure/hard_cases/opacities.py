@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from splatview.measure.hard_cases.case import (
+    FADED_FLOAT16,
     FRONT,
     ONLY_PLAIN,
     PLAIN,
@@ -121,6 +122,7 @@ CASES = (
         "Thousands of faint layers: sums of many small numbers.",
         lambda: layers(2500, logit(1.5 * ALPHA_CUT)),
         settings=BRIGHT,
+        bound_float16=FADED_FLOAT16,
     ),
     case(
         "opaque walls",

@@ -41,7 +41,7 @@ struct Footprint {
 
 mat3 rotation_matrix(vec4 quat, float largest) {
     // By the largest component first: the squares of 1e-25 or 1e25 leave float32's range.
-    vec4 q = normalize(quat / largest);  // guard: largest component first := vec4 q = normalize(quat);
+    vec4 q = normalize(quotient(quat, largest));  // guard: largest component first := vec4 q = normalize(quat);
     float w = q.x, x = q.y, y = q.z, z = q.w;
     return mat3(
         1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
@@ -64,7 +64,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     // guard: finite footprints
     if (!is_finite(offset) || !is_finite(t) || !is_finite(quat) || !is_finite(scale)) return false;
 
-    vec2 ray = ORTHOGRAPHIC ? t.xy : t.xy / t.z;
+    vec2 ray = ORTHOGRAPHIC ? t.xy : quotient(t.xy, t.z);
     f.mean = ray * u_focal + u_principal;
     if (LENS) {
         if (!(dot(ray, ray) < u_lens_reach)) return false;  // guard: fold of the lens
@@ -72,7 +72,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     }
     f.depth = t.z;
     // guard: largest offset first := f.direction = normalize(offset);
-    f.direction = normalize(offset / max(max(abs(offset.x), abs(offset.y)), abs(offset.z)));
+    f.direction = normalize(quotient(offset, max(max(abs(offset.x), abs(offset.y)), abs(offset.z))));
     if (ORTHOGRAPHIC) f.direction = vec3(u_camera_from_world[0].z, u_camera_from_world[1].z, u_camera_from_world[2].z);
 
     // Rows of M = J·W·R·diag(s), divided by their largest entry so that a huge splat does not overflow.
@@ -86,7 +86,7 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
         vec3 row_z = vec3(axes[0].z, axes[1].z, axes[2].z);
         m0 -= slope.x * row_z;
         m1 -= slope.y * row_z;
-        scaled = u_focal / t.z;
+        scaled = quotient(u_focal, t.z);
         if (LENS) {
             mat2 bent = lens_jacobian(slope);
             vec3 straight = m0;
@@ -106,8 +106,8 @@ bool project(vec3 offset, vec4 quat, vec3 scale, float opacity, out Footprint f)
     if (!is_finite(m0) || !is_finite(m1)) return false;  // guard: finite footprints
     vec3 entries = max(abs(m0), abs(m1));
     float spread = max(max(max(entries.x, entries.y), entries.z), 1.0);  // guard: spread := float spread = 1.0;
-    m0 /= spread;
-    m1 /= spread;
+    m0 = quotient(m0, spread);
+    m1 = quotient(m1, spread);
     float blur = u_blur / spread / spread;
     float m00 = dot(m0, m0), m11 = dot(m1, m1), xy = dot(m0, m1);
     vec3 area = cross(m0, m1);

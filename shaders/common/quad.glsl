@@ -39,7 +39,7 @@ void place_quad(vec4 shape, vec4 bound, vec4 colour) {
     vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
     vec2 major = bound.zw;
     float major_length = hypotenuse(major.xx, major.yy).x;
-    vec2 along = major / major_length;
+    vec2 along = quotient(major, major_length);
     vec2 minor = bound.y * vec2(-along.y, along.x);
     vec2 position;
     if (POINTS) {

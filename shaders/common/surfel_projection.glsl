@@ -56,7 +56,7 @@ bool surfel_of(vec3 t, mat3 axes, vec3 scale, float radius_squared, out Surfel s
     int normal = size.x < min(size.y, size.z) ? 0 : size.y < size.z ? 1 : 2;
     vec3 e_u = normal == 0 ? axes[1] : axes[0], e_v = normal == 2 ? axes[1] : axes[2];
     vec3 n = normal == 0 ? axes[0] : normal == 1 ? axes[1] : axes[2];
-    vec3 r = ORTHOGRAPHIC ? vec3(0.0, 0.0, 1.0) : vec3(t.xy / t.z, 1.0);
+    vec3 r = ORTHOGRAPHIC ? vec3(0.0, 0.0, 1.0) : vec3(quotient(t.xy, t.z), 1.0);
     float away = ORTHOGRAPHIC ? 1.0 : t.z;
     vec2 s = vec2(normal == 0 ? scale.y : scale.x, normal == 2 ? scale.y : scale.z);
     s = max(s, SURFEL_LEAST_WIDTH * away / u_focal.x);  // guard: least width
@@ -75,7 +75,7 @@ bool surfel_of(vec3 t, mat3 axes, vec3 scale, float radius_squared, out Surfel s
     surfel.plane = vec4(normal_dot_ray, n.xy / u_focal, greatest_change);
 
     // An affine picture of the part nearer than the mean is too small, by t.z over its depth.
-    vec2 lengths = s / away;
+    vec2 lengths = quotient(s, away);
     float growth = 1.0;
     if (!ORTHOGRAPHIC) {
         float least_depth = t.z - sqrt(radius_squared) * length(vec2(e_u.z, e_v.z) * min(s, WIDEST));

@@ -13,6 +13,7 @@ flat in vec4 v_rows;
 flat in vec4 v_plane;
 #endif
 uniform float u_max_alpha;
+uniform float u_brightest;  // greatest value of the target: infinity times a transmittance of 0 would be NaN
 
 flat in vec4 v_shape;
 flat in vec2 v_c_cut;
@@ -56,7 +57,7 @@ void main() {
         alpha = min(alpha, u_max_alpha);  // guard: cap of alpha
         if (!(alpha >= v_c_cut.y)) discard;
     }
-    colour = OVERDRAW ? vec4(1.0, 0.0, 0.0, 0.0) : vec4(v_colour.rgb * alpha, alpha);
+    colour = OVERDRAW ? vec4(1.0, 0.0, 0.0, 0.0) : vec4(min(v_colour.rgb * alpha, u_brightest), alpha);
 #if HAS_WEIGHTED
     if (WEIGHTED) {
         colour.rgb *= v_weight;
@@ -66,7 +67,7 @@ void main() {
 #if HAS_STOCHASTIC
     if (STOCHASTIC) {
         if (!(chance(v_splat, uvec2(gl_FragCoord.xy)) < alpha)) discard;
-        colour = vec4(v_colour.rgb, 0.0);  // opaque: the transmittance is 0
+        colour = vec4(min(v_colour.rgb, u_brightest), 0.0);  // opaque: the transmittance is 0
     }
 #endif
 }

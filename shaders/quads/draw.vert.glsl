@@ -27,7 +27,6 @@ flat out float v_weight;
 const float LEAST_WEIGHT = 1e-12;  // the farthest splat still has a colour
 #endif
 uniform uint u_slab;
-uniform float u_brightest;  // greatest value of the target: infinity times a transmittance of 0 would be NaN
 
 void main() {
     uint slot = slab_starts[u_slab] + uint(gl_InstanceID) * uint(QUADS_PER_INSTANCE) + uint(gl_VertexID >> 2);
@@ -44,7 +43,7 @@ void main() {
     }
     vec4 colour = RECORD(colours, splat);
     if (DEPTH) colour.rgb = vec3(depth_of(splat));
-    colour.rgb = min(tinted(splat, colour.rgb), u_brightest);
+    colour.rgb = tinted(splat, colour.rgb);
     place_quad(RECORD(shapes, splat), RECORD(bounds, splat), colour);
 #if HAS_DISCS
     if (DISCS) {

@@ -13,7 +13,6 @@ uniform sampler2D u_rows;
 uniform sampler2D u_planes;
 #endif
 uniform int u_ordered;         // number of splats of `u_order` to draw
-uniform float u_brightest;     // greatest value of the target: infinity times a transmittance of 0 would be NaN
 
 void main() {
     place_nothing();
@@ -26,7 +25,7 @@ void main() {
     place_quad(
         texelFetch(u_shapes, texel, 0),
         texelFetch(u_bounds, texel, 0),
-        vec4(min(tinted(splat, colour.rgb), u_brightest), colour.a));
+        vec4(tinted(splat, colour.rgb), colour.a));
 #if HAS_DISCS
     if (DISCS) {
         v_rows = texelFetch(u_rows, texel, 0);

@@ -31,6 +31,8 @@ void main() {
             break;
         }
         for (uint k = 0u; k < count; k++) {
+            // Whole warps of a GPU are through then; where an invocation has many pixels, few are at once.
+            if (PIXELS == 1 && !(sums[0].a >= u_early_stop)) break;
             vec4 shape = batch_shapes[k], colour = batch_colours[k];
             vec2 offset = vec2(own) + 0.5 - shape.xy;
             float c = batch_cs[k], cut = max(u_alpha_cut, u_least_share * colour.a);

@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 from splatview import raster
+from splatview.measure.hard_cases.case import FADED_FLOAT16
 from splatview.measure.hard_cases.case import camera as centred_camera
 from splatview.measure.hard_cases.case import splats as splats_of
 from splatview.measure.hard_cases.run import unexplained_pixels
@@ -342,7 +343,7 @@ def check_trained(backend, path: Path, where: str, turn: int) -> None:
     for blend, least in (("float32", 60), ("float16", 50))[: 1 + (backend.name in BLENDING_FLOAT16)]:
         image = backend.draw(scene, camera, replace(EXACT, blend=blend))
         assert psnr(image, truth) >= least, blend
-        bound = backend.bound if blend == "float32" else ON_CUT
+        bound = backend.bound if blend == "float32" else FADED_FLOAT16
         unexplained, _ = unexplained_pixels(image, truth, scene, camera, EXACT, bound=bound)
         assert not unexplained, (blend, unexplained[:5])
         assert (np.abs(image - truth).max(axis=2) > ON_CUT).mean() <= 0.001

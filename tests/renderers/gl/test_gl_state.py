@@ -10,6 +10,7 @@ import pytest
 
 from splatview.measure.metrics import largest_error
 from splatview.renderers.gl.context import held_bytes
+from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH
 from splatview.renderers.request import FrameRequest, Highlight
 from splatview.scene import Camera, Gaussians, ImageModel, RenderSettings, look_at, reference
 from splatview.scene.edits import (
@@ -71,8 +72,8 @@ def test_no_edits_cost_nothing(gl_renderer, random_gaussians: Make):
     assert np.array_equal(plain, same)
     assert gl_renderer.stats().drawn == 1
     assert gl_renderer._edits.marks_uploaded == 0
-    with pytest.raises(RuntimeError, match="reserve"):
-        _ = gl_renderer._edits._marks.texture
+    # A row where the driver's compiler keeps what no path of a program reads, as NVIDIA's does.
+    assert held_bytes(gl_renderer._edits) <= 4 * TEXTURE_WIDTH
 
 
 def counters(gl_renderer) -> tuple[int, int, int]:
