@@ -138,13 +138,18 @@ def make_renderer(
 def automatic_choice() -> tuple[str, str]:
     """What "auto" takes here without a window, and why."""
     from splatview.renderers.gl.context import create_headless_context, describe, discard
+    from splatview.renderers.gl.faster import faster
 
     try:
         ctx = create_headless_context()
     except InputError as error:
         return "cpu", str(error)
-    info = describe(ctx)
-    discard(ctx)
-    if info.is_software and find_spec("numba") is not None:
-        return "cpu", f"OpenGL is only software here ({info.renderer})"
-    return "quads", f"OpenGL runs on {info.renderer}"
+    try:
+        info = describe(ctx)
+        if info.is_software:
+            if find_spec("numba") is not None:
+                return "cpu", f"OpenGL is only software here ({info.renderer})"
+            return "quads", f"OpenGL runs on {info.renderer}"
+        return faster(ctx)
+    finally:
+        discard(ctx)

@@ -24,7 +24,7 @@ MOST_HELD = 1 << 30
 
 
 def make_headless(name: str, *, mode: VisualMode = "splats") -> Renderer:
-    """The renderer called `name`; "auto" takes `cpu` where OpenGL is absent or only software, else `quads`.
+    """The renderer called `name`; "auto" takes what `automatic_choice` says.
 
     Raises:
         InputError: it does not work here, or cannot show `mode`.

@@ -11,6 +11,7 @@ import numpy as np
 from splatview.renderers import choices, make_renderer, on_this_gl
 from splatview.renderers.async_renderer import AsyncRenderer
 from splatview.renderers.gl.context import describe
+from splatview.renderers.gl.faster import faster
 from splatview.renderers.gl.renderer import GLRenderer
 from splatview.renderers.gl.shader_fallback import FallbackShaders
 from splatview.renderers.precompile import ShaderPrecompiler
@@ -226,7 +227,7 @@ def choose_picture(
     precompiler: ShaderPrecompiler | None = None,
 ) -> Picture:
     """The picture by `renderer`, one of RENDERERS; "auto" takes the CPU where OpenGL is only software, else
-    `quads`. Whoever made the `precompiler` ends it.
+    the faster one of `quads` and `tiles`. Whoever made the `precompiler` ends it.
 
     Raises:
         InputError: the name is unknown, or the renderer does not work here.
@@ -234,7 +235,7 @@ def choose_picture(
     if renderer not in RENDERERS:
         raise InputError(f"--renderer {renderer}: the window has {', '.join(RENDERERS)}")
     if renderer == "auto":
-        renderer = "cpu" if describe(ctx).is_software else "quads"
+        renderer = "cpu" if describe(ctx).is_software else faster(ctx)[0]
     return Picture(ctx, renderer, on_ready=on_ready, precompiler=precompiler)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from splatview.renderers.gl.context import reserve
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import Variants, load_compute, run_groups
-from splatview.renderers.gl.project import QUADS_PER_INSTANCE, SLABS, Projector, Records
+from splatview.renderers.gl.project import QUADS_PER_INSTANCE, SLABS, Projector, Rows
 from splatview.renderers.gl.scene_buffers import SceneBuffers
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH
 from splatview.renderers.gl.targets import ColourTarget
@@ -66,12 +66,7 @@ class OcclusionPass:
         set_uniforms(self._close, {**grid, "u_early_stop": early_stop})
         run_groups(self._close, -(-self._blocks // 8))
         self._ctx.memory_barrier()
-        buffers = (
-            *(projector.order, projector.slab_starts, projector.shapes, projector.bounds),
-            *(self._closed, projector.drawn),
-        )
-        for slot, buffer in enumerate(buffers):
-            buffer.bind_to_storage_buffer(slot)
+        _bind(projector.order, projector.slab_starts, projector.records, self._closed, projector.drawn)
         size = {"u_size": (float(self._size[0]), float(self._size[1]))}
         flags = {
             "BLOCK": BLOCK,
@@ -181,8 +176,8 @@ class BlendPass:
             if stops and slab:
                 order = self._closing.hide(projector, target.texture, slab, early_stop)
             _bind(
-                *(order, projector.slab_starts, projector.shapes, projector.bounds, projector.colours),
-                *(projector.depth_keys, *projector.disc_buffers(uniforms)),
+                *(order, projector.slab_starts, projector.records, projector.depth_keys),
+                *projector.disc_buffers(uniforms),
             )
             own = {"u_brightest": target.brightest, "u_depth_unit": edits.placement.radius}
             set_uniforms(program, {"u_slab": slab, **own})
@@ -203,9 +198,8 @@ class BlendPass:
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         self._ctx.depth_func = "<"
         for page in scene.pages:
-            _bind(
-                *(page.positions, page.quats, page.scales_opacity), *(projector.colours, projector.depth_keys)
-            )
+            own = (page.positions, page.quats, page.scales_opacity)
+            _bind(*own, projector.records, projector.depth_keys)
             place = {
                 "u_page_first": page.first,
                 "u_page_count": page.count,
@@ -219,6 +213,6 @@ class BlendPass:
         self._indices.release()
 
 
-def _bind(*buffers: Records) -> None:
+def _bind(*buffers: Rows) -> None:
     for slot, buffer in enumerate(buffers):
         buffer.bind_to_storage_buffer(slot)

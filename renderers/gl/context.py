@@ -32,7 +32,7 @@ GL_VERSIONS = (450, 430, 410, 330)
 MOST_DEVICES = 16
 """EGL devices that are tried."""
 
-COMPUTE_STORAGE_BLOCKS, VERTEX_STORAGE_BLOCKS = 11, 7
+COMPUTE_STORAGE_BLOCKS, VERTEX_STORAGE_BLOCKS = 8, 5
 """Most storage blocks of a compute and of a vertex shader of ours. OpenGL 4.3 promises 8 and none."""
 
 HOW_TO_GET_GL = "on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri"

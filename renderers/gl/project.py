@@ -154,29 +154,47 @@ the picture are closed. On llvmpipe, 500,000 splats, time of the draw
 relative to no early stop: 16 parts 0.77, 8 parts 0.83, 32 parts 0.80, 64 parts 0.83; closing single pixels
 by a depth test instead of blocks 0.93, because llvmpipe blends masked pixels all the same."""
 
-RECORD_BYTES = 16
-"""A splat's footprint is kept in three vec4 arrays (see ``quads/project.comp.glsl``)."""
+ROW_BYTES = 16
+"""Four numbers."""
+
+RECORD_ROWS = 3
+"""Of a projected splat, see ``common/records.glsl``. Together, not in an array each: most of what tiles do
+with millions of splats is to fetch their records from anywhere in memory."""
 
 FIRST_RECORD_UNIT = 3
-"""Texture units from here on are those of records, in textures: shapes, bounds, colours, discs, slopes."""
+"""Texture units from here on are those of records, in textures, then of discs and slopes."""
 
 
-class RecordTexture(TexelArray):
-    """Records in a texture, for drivers whose storage buffers are too small: see ``common/records.glsl``."""
+class RowTextures:
+    """Rows in textures, for drivers whose storage buffers are too small: see ``common/records.glsl``."""
 
-    def __init__(self, ctx: moderngl.Context, unit: int, splats: int, what: str) -> None:
-        """Raises InputError where there is no room for it."""
-        super().__init__(ctx, 4, "f4", what)
+    def __init__(self, ctx: moderngl.Context, unit: int, textures: int, rows: int, what: str) -> None:
+        """So many `textures` of as many `rows` each, from `unit` on.
+
+        Raises:
+            InputError: there is no room for them.
+        """
         self._unit = unit
-        self.reserve(splats)
+        self.arrays = [TexelArray(ctx, 4, "f4", what) for _ in range(textures)]
+        try:
+            for array in self.arrays:
+                array.reserve(rows)
+        except BaseException:
+            self.release()
+            raise
 
     def bind_to_storage_buffer(self, slot: int) -> None:
-        """Binds it to its unit: a buffer would be bound to `slot`."""
-        self.texture.use(self._unit)
-        self.texture.bind_to_image(self._unit, read=False, write=True)
+        """Binds them to their units: a buffer would be bound to `slot`."""
+        for unit, array in enumerate(self.arrays, start=self._unit):
+            array.texture.use(unit)
+            array.texture.bind_to_image(unit, read=False, write=True)
+
+    def release(self) -> None:
+        for array in self.arrays:
+            array.release()
 
 
-Records = moderngl.Buffer | RecordTexture
+Rows = moderngl.Buffer | RowTextures
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,11 +233,11 @@ class Projector:
         self.slab_starts = ctx.buffer(reserve=4 * (SLABS + 1))
         self.textured = False
         """Whether records are in textures."""
-        self.slopes: Records | None = None
-        """A record a splat, once pictures in per-pixel order have been drawn."""
-        self.discs: Records | None = None
-        """Two records a splat beside the others, once flat splats have been drawn."""
-        self._sized: list[Records] = []
+        self.slopes: Rows | None = None
+        """A row a splat, once pictures in per-pixel order have been drawn."""
+        self.discs: Rows | None = None
+        """Two rows a splat, once flat splats have been drawn."""
+        self._sized: list[Rows] = []
         self._sorter: RadixSort | None = None
 
     def resize(self, splats: int) -> None:
@@ -230,51 +248,35 @@ class Projector:
         """
         room, groups = max(1, splats), -(-splats // GROUP_SIZE)
         sizes = (*[room * 4] * 4, *[max(1, groups) * 4] * 2)
-        textured = room * RECORD_BYTES > storage_limit(self._ctx)
-        made: list[moderngl.Buffer] = []
-        records: list[Records] = []
+        textured = room * RECORD_ROWS * ROW_BYTES > storage_limit(self._ctx)
+        made: list[Rows] = []
         try:
-            made = reserve(self._ctx, sizes, f"{splats:,} splats")
-            records = self._make_records(room, 3, "splats", textured=textured)
+            buffers = reserve(self._ctx, sizes, f"{splats:,} splats")
+            made += buffers
+            records: Rows
+            if textured:
+                records = RowTextures(self._ctx, FIRST_RECORD_UNIT, RECORD_ROWS, room, "splats")
+            else:
+                (records,) = reserve(self._ctx, [room * RECORD_ROWS * ROW_BYTES], f"{splats:,} splats")
+            made.append(records)
             sorter = RadixSort(self._ctx, room)
-        except BaseException:
-            for thing in (*made, *records):
-                thing.release()
-            raise
-        self._release_sized()
-        self._sized, self._sorter = [*made, *records], sorter
-        self.splats, self._groups, self.textured = splats, groups, textured
-        self.shapes, self.bounds, self.colours = records
-        self.depth_keys, self.keys, self.order, self.drawn = made[:4]
-        self._counts, self._starts = made[4:]
-        self._counts.write(np.zeros(max(1, groups), dtype=np.uint32))
-
-    def _make_records(
-        self, count: int, arrays: int, what: str, *, textured: bool, unit: int = FIRST_RECORD_UNIT
-    ) -> list[Records]:
-        """Arrays of `count` records of `what`, in textures from `unit` on or in buffers; all or none."""
-        made: list[Records] = []
-        if not textured:
-            made += reserve(self._ctx, [count * RECORD_BYTES] * arrays, f"{count:,} {what}")
-            return made
-        try:
-            for own in range(unit, unit + arrays):
-                made.append(RecordTexture(self._ctx, own, count, what))
         except BaseException:
             for thing in made:
                 thing.release()
             raise
-        return made
+        self._release_sized()
+        self._sized, self._sorter = made, sorter
+        self.splats, self._groups, self.textured = splats, groups, textured
+        self.records = records
+        self.depth_keys, self.keys, self.order, self.drawn = buffers[:4]
+        self._counts, self._starts = buffers[4:]
+        self._counts.write(np.zeros(max(1, groups), dtype=np.uint32))
 
-    def _move_to_textures(self) -> None:
-        """What was projected is lost."""
-        made = self._make_records(max(1, self.splats), 3, "splats", textured=True)
-        for thing in (self.shapes, self.bounds, self.colours):
-            self._sized.remove(thing)
-            thing.release()
-        self._sized += made
-        self.shapes, self.bounds, self.colours = made
-        self.textured = True
+    def _make_rows(self, count: int, what: str, unit: int) -> Rows:
+        """Raises InputError where there is no room for so many of `what`."""
+        if self.textured:
+            return RowTextures(self._ctx, unit, 1, count, what)
+        return reserve(self._ctx, [count * ROW_BYTES], f"{count:,} {what}")[0]
 
     def project(
         self,
@@ -303,17 +305,15 @@ class Projector:
         }
         if flags["DISCS"]:
             flags["ANTIALIASED"] = False  # of no effect on discs
-            self._disc_buffer().bind_to_storage_buffer(9)
+            self._disc_buffer().bind_to_storage_buffer(7)
         flags["TEXTURED"] = self.textured
-        if slopes:
+        if slopes and not flags["DISCS"]:  # which have none; 8 storage blocks are what OpenGL promises
             flags["SLOPES"] = True
-            self.slope_buffer().bind_to_storage_buffer(10)
+            self.slope_buffer().bind_to_storage_buffer(8)
         program = self._variants.compute("quads/project.comp.glsl", flags)
         set_uniforms(program, uniforms)
         edits.use(program)
-        for slot, buffer in enumerate(
-            (self.shapes, self.bounds, self.colours, self.depth_keys, self._counts), start=4
-        ):
+        for slot, buffer in enumerate((self.records, self.depth_keys, self._counts), start=4):
             buffer.bind_to_storage_buffer(slot)
         for page in scene.pages:
             for slot, buffer in enumerate((page.positions, page.quats, page.scales_opacity, page.sh)):
@@ -342,27 +342,24 @@ class Projector:
         self._ctx.memory_barrier()
         self.visible.frame_done()
 
-    def slope_buffer(self) -> Records:
+    def slope_buffer(self) -> Rows:
         """Slopes of depth, (x, y), and depth, a splat. Raises InputError where there is no room for it."""
         if self.slopes is None:
-            count, unit = max(1, self.splats), FIRST_RECORD_UNIT + 4
-            (self.slopes,) = self._make_records(
-                count, 1, "depths along rays", textured=self.textured, unit=unit
-            )
+            unit = FIRST_RECORD_UNIT + RECORD_ROWS + 1
+            self.slopes = self._make_rows(max(1, self.splats), "depths along rays", unit)
             self._sized.append(self.slopes)
         return self.slopes
 
-    def disc_buffers(self, uniforms: Mapping[str, Uniform]) -> tuple[Records, ...]:
+    def disc_buffers(self, uniforms: Mapping[str, Uniform]) -> tuple[Rows, ...]:
         """What drawing needs besides, where the splats of `view_uniforms` are flat."""
         return (self._disc_buffer(),) if disc_flags(uniforms)["DISCS"] else ()
 
-    def _disc_buffer(self) -> Records:
+    def _disc_buffer(self) -> Rows:
         """Raises InputError where there is no room for it."""
         if self.discs is None:
-            count, unit = 2 * max(1, self.splats), FIRST_RECORD_UNIT + 3
-            if count * RECORD_BYTES > storage_limit(self._ctx) and not self.textured:
-                self._move_to_textures()
-            (self.discs,) = self._make_records(count, 1, "halves of discs", textured=self.textured, unit=unit)
+            # Fewer rows than records have: where those are in a buffer, these have room in one.
+            unit = FIRST_RECORD_UNIT + RECORD_ROWS
+            self.discs = self._make_rows(2 * max(1, self.splats), "halves of discs", unit)
             self._sized.append(self.discs)
         return self.discs
 

@@ -17,7 +17,7 @@ from splatview.renderers.gl.blend import BlendPass
 from splatview.renderers.gl.context import describe, missing_compute, reserve
 from splatview.renderers.gl.edit_textures import EditTextures
 from splatview.renderers.gl.programs import Variants, load_compute, run_groups
-from splatview.renderers.gl.project import Projector, Records
+from splatview.renderers.gl.project import Projector, Rows
 from splatview.renderers.gl.quads import QuadsRenderer
 from splatview.renderers.gl.scene_buffers import SceneBuffers, storage_limit
 from splatview.renderers.gl.scene_textures import TEXTURE_WIDTH
@@ -123,7 +123,7 @@ class TilePairs:
         ends, starts = self._slots
         self._uniforms = {**uniforms, "u_tiles": self.tiles}
         if blocks:
-            bind(projector.order, projector.visible.buffer, *records(projector), ends, starts)
+            bind(projector.order, projector.visible.buffer, projector.records, ends, starts)
             count = self._program("count", projector)
             set_uniforms(count, self._uniforms)
             run_groups(count, blocks)
@@ -136,7 +136,7 @@ class TilePairs:
         rounds = self._make_room()
         self._room = rounds * self.capacity
         bind(projector.visible.buffer, ends, starts)
-        self.plan.bind_to_storage_buffer(6)
+        self.plan.bind_to_storage_buffer(3)
         set_uniforms(self._make_plan, {"u_capacity": self.capacity, "u_rounds": rounds})
         self._make_plan.run(1)
         self._ctx.memory_barrier()
@@ -174,7 +174,7 @@ class TilePairs:
         if self._sorter is None or self._pairs is None or self._slots is None:
             raise RuntimeError("count() comes before make()")
         blocks = -(-projector.splats // BLOCK)
-        bind(projector.order, projector.visible.buffer, *records(projector), *self._slots, *self._pairs)
+        bind(projector.order, projector.visible.buffer, projector.records, *self._slots, *self._pairs)
         place: dict[str, Uniform] = {
             "u_round_first": index * self.capacity,
             "u_capacity": self.capacity,
@@ -203,12 +203,7 @@ class TilePairs:
             thing.release()
 
 
-def records(projector: Projector) -> tuple[Records, ...]:
-    """What shaders/tiles/outline.glsl reads, for bindings from 2 on."""
-    return projector.shapes, projector.bounds, projector.colours
-
-
-def bind(*buffers: Records) -> None:
+def bind(*buffers: Rows) -> None:
     for slot, buffer in enumerate(buffers):
         buffer.bind_to_storage_buffer(slot)
 
@@ -295,11 +290,11 @@ class TilesBlendPass(BlendPass):
             rest: bool, *splats: moderngl.Buffer, most_walked: int, longest: int, **more: Uniform
         ) -> None:
             program = self._ready(mode, rest, projector, target, edits, {**values, **more}, by_pixel)
-            bind(*splats, *records(projector))
+            bind(*splats, projector.records)
             if by_pixel:
-                projector.slope_buffer().bind_to_storage_buffer(8)
+                projector.slope_buffer().bind_to_storage_buffer(6)
             for buffer in projector.disc_buffers(uniforms):
-                buffer.bind_to_storage_buffer(7)
+                buffer.bind_to_storage_buffer(5)
             self._run_parts(program, groups, most_walked, longest)
 
         most, longest = self.tuning.most_walked, min(self.pairs.found, projector.splats)
@@ -323,8 +318,8 @@ class TilesBlendPass(BlendPass):
         if self._next_parts.size < 12 * parts:
             self._next_parts.orphan(12 * parts)
         self._next_parts.write(bytes(12 * parts))
-        self._next_parts.bind_to_storage_buffer(5)
-        self.pairs.plan.bind_to_storage_buffer(6)
+        self._next_parts.bind_to_storage_buffer(4)
+        self.pairs.plan.bind_to_storage_buffer(3)
         set_uniforms(program, {"u_most": most})
         for part in range(parts):
             set_uniforms(program, {"u_first": part * most})

@@ -7,10 +7,9 @@ layout(local_size_x = 64) in;
 
 layout(std430, binding = 0) readonly buffer Order { uint order[]; };
 layout(std430, binding = 1) readonly buffer Slabs { uint slab_starts[]; };
-RECORDS_READ(2, 3, Shapes, shapes);
-RECORDS_READ(3, 4, Bounds, bounds);
-layout(std430, binding = 4) readonly buffer OpaqueBlocks { uint opaque[]; };
-layout(std430, binding = 5) writeonly buffer Drawn { uint drawn[]; };  // order, or CULLED
+RECORDS_READ(2);
+layout(std430, binding = 3) readonly buffer OpaqueBlocks { uint opaque[]; };
+layout(std430, binding = 4) writeonly buffer Drawn { uint drawn[]; };  // order, or CULLED
 uniform uint u_slab;
 uniform int u_columns;
 uniform vec2 u_size;

@@ -7,12 +7,10 @@
 #include "common/records.glsl"
 layout(std430, binding = 0) readonly buffer Order { uint order[]; };
 layout(std430, binding = 1) readonly buffer Slabs { uint slab_starts[]; };
-RECORDS_READ(2, 3, Shapes, shapes);
-RECORDS_READ(3, 4, Bounds, bounds);
-RECORDS_READ(4, 5, Colours, colours);
-layout(std430, binding = 5) readonly buffer DepthKeys { uint depth_keys[]; };
+RECORDS_READ(2);
+layout(std430, binding = 3) readonly buffer DepthKeys { uint depth_keys[]; };
 #if HAS_DISCS
-RECORDS_READ(6, 6, Discs, discs);
+ROWS_READ(4, 6, Discs, discs);
 #endif
 
 float depth_of(uint splat) { return uintBitsToFloat(depth_keys[splat] & 0x7FFFFFFFu); }  // visible: positive
@@ -47,8 +45,8 @@ void main() {
     place_quad(RECORD(shapes, splat), RECORD(bounds, splat), colour);
 #if HAS_DISCS
     if (DISCS) {
-        v_rows = RECORD(discs, 2u * splat);
-        v_plane = RECORD(discs, 2u * splat + 1u);
+        v_rows = ROW(discs, 2u * splat);
+        v_plane = ROW(discs, 2u * splat + 1u);
     }
 #endif
 #if HAS_WEIGHTED

@@ -5,7 +5,7 @@
 #include "common/tint.glsl"
 #include "common/records.glsl"
 #include "quads/attributes.glsl"
-RECORDS_READ(3, 5, Colours, colours);
+RECORDS_READ(3);
 layout(std430, binding = 4) readonly buffer DepthKeys { uint depth_keys[]; };
 uniform uint u_page_first;
 uniform uint u_page_count;

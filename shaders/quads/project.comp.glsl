@@ -15,16 +15,14 @@ uniform uint u_page_first;
 uniform uint u_page_count;
 
 // Of all pages, indexed by splat.
-RECORDS_WRITTEN(4, 3, Shapes, shapes);    // mean.xy, a, b
-RECORDS_WRITTEN(5, 4, Bounds, bounds);    // c, minor axis, major axis.xy
-RECORDS_WRITTEN(6, 5, Colours, colours);  // rgb, opacity
-layout(std430, binding = 7) writeonly buffer DepthKeys { uint depth_keys[]; };
-layout(std430, binding = 8) buffer GroupCounts { uint group_counts[]; };
+RECORDS_WRITTEN(4);
+layout(std430, binding = 5) writeonly buffer DepthKeys { uint depth_keys[]; };
+layout(std430, binding = 6) buffer GroupCounts { uint group_counts[]; };
 #if HAS_DISCS
-RECORDS_WRITTEN(9, 6, Discs, discs);      // two per splat: rows, plane
+ROWS_WRITTEN(7, 6, Discs, discs);    // two per splat: rows, plane
 #endif
 #if HAS_SLOPES
-RECORDS_WRITTEN(10, 7, Slopes, slopes);   // of depth, then depth
+ROWS_WRITTEN(8, 7, Slopes, slopes);  // of depth, then depth
 #endif
 
 uint depth_key(float depth) {
@@ -52,12 +50,12 @@ void main() {
     WRITE_RECORD(colours, splat, vec4(max(colour, vec3(0.0)), f.opacity));
 #if HAS_DISCS
     if (DISCS) {
-        WRITE_RECORD(discs, 2u * splat, f.surfel.rows);
-        WRITE_RECORD(discs, 2u * splat + 1u, f.surfel.plane);
+        WRITE_ROW(discs, 2u * splat, f.surfel.rows);
+        WRITE_ROW(discs, 2u * splat + 1u, f.surfel.plane);
     }
 #endif
 #if HAS_SLOPES
-    WRITE_RECORD(slopes, splat, vec4(f.depth_slope, f.depth, 0.0));
+    WRITE_ROW(slopes, splat, vec4(f.depth_slope, f.depth, 0.0));
 #endif
     depth_keys[splat] = depth_key(f.depth);
     atomicAdd(group_counts[splat / uint(GROUP_SIZE)], 1u);

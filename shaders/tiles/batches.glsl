@@ -13,10 +13,10 @@
 layout(std430, binding = 0) readonly buffer PairTiles { uint pair_tiles[]; };  // ascending
 layout(std430, binding = 1) readonly buffer Splats { uint splats[]; };         // of pairs; with REST of slots
 #if HAS_DISCS
-RECORDS_READ(7, 6, Discs, discs);                                               // two per splat: rows, plane
+ROWS_READ(5, 6, Discs, discs);                                                  // two per splat: rows, plane
 #endif
 layout(rgba32f, binding = 0) uniform image2D u_accumulation;                       // rgb, T
-layout(std430, binding = 5) writeonly buffer NextParts { uint next_parts[]; };  // three a part: an indirect dispatch
+layout(std430, binding = 4) writeonly buffer NextParts { uint next_parts[]; };  // three a part: an indirect dispatch
 uniform uint u_round;
 uniform uint u_first;  // range of the tile's splats: the first, and the greatest count
 uniform uint u_most;
@@ -29,7 +29,7 @@ shared vec4 batch_shapes[BATCH];
 shared float batch_cs[BATCH];
 shared vec4 batch_colours[BATCH];
 #if HAS_SLOPES
-RECORDS_READ(8, 7, Slopes, slopes);
+ROWS_READ(6, 7, Slopes, slopes);
 shared vec4 batch_depths[BATCH];  // slopes and depth of the mean
 #endif
 #if HAS_DISCS
@@ -68,12 +68,12 @@ void put(uint place, uint splat) {
     batch_cs[place] = RECORD(bounds, splat).x * ROOT_HALF_LOG2_E;
     batch_colours[place] = vec4(tinted(splat, colour.rgb), colour.a);
 #if HAS_SLOPES
-    batch_depths[place] = RECORD(slopes, splat);
+    batch_depths[place] = ROW(slopes, splat);
 #endif
 #if HAS_DISCS
     if (DISCS) {
-        batch_rows[place] = RECORD(discs, 2u * splat);
-        batch_planes[place] = RECORD(discs, 2u * splat + 1u);
+        batch_rows[place] = ROW(discs, 2u * splat);
+        batch_planes[place] = ROW(discs, 2u * splat + 1u);
     }
 #endif
 }

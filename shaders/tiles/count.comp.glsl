@@ -4,8 +4,8 @@
 #include "sort/sum_before.glsl"
 layout(local_size_x = WORKGROUP) in;
 
-layout(std430, binding = 5) buffer Ends { uint ends[]; };  // a slot: pairs of its block up to and with it
-layout(std430, binding = 6) writeonly buffer BlockTotals { uint block_totals[]; };
+layout(std430, binding = 3) buffer Ends { uint ends[]; };  // a slot: pairs of its block up to and with it
+layout(std430, binding = 4) writeonly buffer BlockTotals { uint block_totals[]; };
 
 uint tiles_of(uint splat) {
     Outline o = outline_of(splat);

@@ -4,10 +4,10 @@
 #include "tiles/saturating.glsl"
 layout(local_size_x = BLOCK) in;
 
-layout(std430, binding = 5) readonly buffer Ends { uint ends[]; };
-layout(std430, binding = 6) readonly buffer Starts { uint block_starts[]; };
-layout(std430, binding = 7) writeonly buffer PairTiles { uint pair_tiles[]; };
-layout(std430, binding = 8) writeonly buffer PairSplats { uint pair_splats[]; };
+layout(std430, binding = 3) readonly buffer Ends { uint ends[]; };
+layout(std430, binding = 4) readonly buffer Starts { uint block_starts[]; };
+layout(std430, binding = 5) writeonly buffer PairTiles { uint pair_tiles[]; };
+layout(std430, binding = 6) writeonly buffer PairSplats { uint pair_splats[]; };
 uniform uint u_round_first;  // pairs in earlier rounds
 uniform uint u_capacity;     // pairs per round
 uniform uint u_room;         // pairs in all rounds

@@ -3,9 +3,7 @@
 // Flag: TILE (pixels that a tile is wide and high), and those of records.
 #include "common/records.glsl"
 
-RECORDS_READ(2, 3, Shapes, shapes);    // mean.xy, a, b
-RECORDS_READ(3, 4, Bounds, bounds);    // c, then axes
-RECORDS_READ(4, 5, Colours, colours);  // rgb, opacity
+RECORDS_READ(2);
 uniform ivec2 u_tiles;  // columns, rows
 uniform float u_alpha_cut;
 uniform float u_least_share;  // share of its opacity below which a splat's alpha is 0, too

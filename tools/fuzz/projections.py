@@ -98,8 +98,8 @@ class GLProjection:
             visible = rows[0][:, 2] != 0
         else:
             projector = renderer._projector
-            buffers = (projector.shapes, projector.bounds, projector.colours)
-            rows = [np.frombuffer(b.read(), np.float32).reshape(-1, 4)[:n] for b in buffers]
+            records = np.frombuffer(projector.records.read(), np.float32).reshape(-1, 3, 4)[:n]
+            rows = [records[:, field] for field in range(3)]
             visible = np.frombuffer(projector.depth_keys.read(), np.uint32)[:n] != 0xFFFFFFFF
         shapes, bounds, colours = rows
         finite = np.isfinite(image).all() and all(np.isfinite(row[visible]).all() for row in rows)
