@@ -32,12 +32,13 @@ from splatview.cli.arguments import (
 )
 from splatview.cli.main import make_console
 from splatview.cli.render import check_output
+from splatview.cli.stability import describe_gl
 from splatview.cli.training_ladder import run_training_ladder, training_knobs
 from splatview.measure.knobs import KNOBS, Plan, knob
 from splatview.measure.ladder import AGREEMENT, Ladder, disagreement, run_ladder, rungs_for
 from splatview.measure.ladder_plot import plot
 from splatview.measure.ladder_report import COLUMNS, as_json, bargains, cells, left_out_text
-from splatview.renderers import automatic_choice, choices
+from splatview.renderers import BACKENDS, automatic_choice, choices
 from splatview.renderers.headless import HeadlessScene, make_headless
 from splatview.scene import Camera, Gaussians, InputError, RenderSettings
 from splatview.scene.effects.overrides import settings_for
@@ -198,6 +199,7 @@ def run(arguments: list[str]) -> int:
         "splats": len(gaussians),
         "size": [views[0].width, views[0].height],
         "cameras": [camera_values(view) for view in views],
+        "opengl": describe_gl() if any(BACKENDS[name].gl_version is not None for name in names) else None,
         "truth": {"by": "float64 rasteriser", "largest_difference_from_reference": apart},
     }
     if args.json:

@@ -230,6 +230,10 @@ class Renderer(Protocol):
         """Picture asked for last, (H, W, 4) float32, row 0 on top. Waits for it."""
         ...
 
+    def finish(self) -> None:
+        """Waits until the picture asked for last is drawn; on a GPU, it stays there."""
+        return
+
     def render(self, request: FrameRequest) -> np.ndarray:
         """Picture of the request, (H, W, 4) float32 of its camera's size."""
         self.draw(request)

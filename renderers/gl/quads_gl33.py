@@ -327,6 +327,10 @@ class QuadsGL33Renderer(GLRenderer):
         self._ask(request)
         self._draw(self._sort_thread().newest())
 
+    def finish(self) -> None:
+        self._draw(self._sort_thread().wait())
+        super().finish()
+
     def render(self, request: FrameRequest) -> np.ndarray:
         # To draw first would be to draw in the order of an earlier view.
         self._ask(request)

@@ -100,6 +100,9 @@ class GLRenderer(Renderer):
         if problem is not None:
             raise InputError(problem)
 
+    def finish(self) -> None:
+        self._ctx.finish()
+
     @property
     def framebuffer(self) -> moderngl.Framebuffer:
         """The picture drawn last; its row 0 is the picture's top row."""

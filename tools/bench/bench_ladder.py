@@ -63,6 +63,7 @@ def ladder_table(results: Mapping[str, Any]) -> dict[str, Any]:
         "Popping: the largest change of a pixel when the eye turns a little. "
         "Front: faster, by more than the noise, than all on the front that are nearer to the truth; nothing "
         "else in the table is both faster and nearer."
+        + (f" GL is {opengl['renderer']}." if (opengl := results.get("opengl")) else "")
         + (f" Left out for want of time: {len(left_out)} rows." if left_out else ""),
     }
 

@@ -11,7 +11,7 @@ import pytest
 
 from splatview.renderers.gl import scene_buffers, scene_textures
 from splatview.renderers.gl.context import held_bytes
-from splatview.renderers.gl.quads import QuadsRenderer
+from splatview.renderers.gl.quads import EARLY_STOP, QuadsRenderer
 from splatview.renderers.gl.quads_gl33 import QuadsGL33Renderer
 from splatview.renderers.gl.renderer import GLRenderer
 from splatview.renderers.gl.scene_buffers import DEGREE_BITS, own_words, places, sh_words, stored_harmonics
@@ -163,7 +163,7 @@ def test_invisible_bands_come_when_they_are_asked_for(ctx, random_gaussians, mak
     every = renderer.render(FrameRequest(scene, CAMERA, EXACT))
     assert held_bytes(renderer) - held >= 600 * 7 * 12
     assert 0 < np.abs(every - seen).max() <= VISIBLE
-    assert np.abs(every - reference.render(scene, CAMERA)).max() < 1e-4
+    assert np.abs(every - reference.render(scene, CAMERA)).max() < 1e-4 + EARLY_STOP
     assert renderer.every_band  # and so from now on: a training shows one scene after the other
     again = replace(scene)
     renderer.load(again)
