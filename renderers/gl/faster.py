@@ -1,7 +1,7 @@
 """Which of `quads` and `tiles` draws faster on a GPU: tried, and remembered for each driver.
 
 GPUs differ in this more than in anything else: an H200, which has many compute units and few that rasterise,
-draws 100,000 to 6 million splats at 1920x1080 1.9 to 4.5 times as fast by tiles (assets/benchmarks/gpu.json).
+draws 100,000 to 6 million splats at 1920x1080 1.9 to 5.6 times as fast by tiles (assets/benchmarks/gpu.json).
 """
 
 from __future__ import annotations

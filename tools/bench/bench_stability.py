@@ -56,7 +56,7 @@ def main() -> None:
     note = (
         f"{len(CASES)} cases, {len(results)} comparisons with the float64 reference, {failed} failed; each"
         " cell has the largest error of any pixel and channel (0 to 1 is black to white, relative beyond"
-        " that). Bounds are 2e-03 in float32 and 2e-02 where float16 blends;"
+        " that). Bounds are 2e-03 in float32, and 2e-02 where float16 blends, more for what it cannot hold;"
         f" {excluded} pixels were left out because an alpha sits on its cut or depths tie. GL: {driver}."
     )
     found = as_json(results, NAMES)
