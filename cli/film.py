@@ -25,6 +25,7 @@ from splatview.cli.arguments import (
     chosen_background,
     chosen_orbit,
     chosen_plan,
+    knob_choices,
     positive,
 )
 from splatview.cli.main import make_console
@@ -113,7 +114,7 @@ def run(arguments: list[str]) -> int:
         seconds = (args.seconds or TURNTABLE_SECONDS) if count is None else count / fps
         cameras = turntable_cameras(turntable_orbit(args, gaussians), seconds, fps)
         size = cameras[0].width, cameras[0].height  # a camera file may have its own
-    renderer = make_headless(args.renderer, mode=args.mode)
+    renderer = make_headless(args.renderer, mode=args.mode, knobs=knob_choices(args))
     chosen_aperture(args, cameras[0])
 
     def picture(scene: Gaussians, camera: Camera) -> np.ndarray:

@@ -27,6 +27,7 @@ from splatview.cli.arguments import (
     chosen_orbit,
     chosen_plan,
     count,
+    knob_choices,
     not_negative,
     number,
     positive,
@@ -174,7 +175,7 @@ def run(arguments: list[str]) -> int:
     gaussians = load_scene(source)
     orbit = chosen_orbit(args, gaussians)
     aperture = chosen_aperture(args, orbit.camera)
-    renderer = make_headless(args.renderer, mode=args.mode)
+    renderer = make_headless(args.renderer, mode=args.mode, knobs=knob_choices(args))
     settings = replace(chosen_settings(args, gaussians), background=behind)
     plan = chosen_plan(args, settings, renderer.name)
     image, stats = render_frames(args, renderer, gaussians, orbit, plan, aperture)
@@ -193,7 +194,7 @@ def render_sequence(args: argparse.Namespace, sequence: SceneSequence) -> int:
         raise InputError("--stats and --frames measure one scene; name one of the sequence's files")
     behind = chosen_background(args.background, args.up)
     targets = frame_targets(args.output, sequence, SUFFIXES)
-    renderer = make_headless(args.renderer, mode=args.mode)
+    renderer = make_headless(args.renderer, mode=args.mode, knobs=knob_choices(args))
     still = argparse.Namespace(**{**vars(args), "turn": 0.0})
     orbit: Orbit | None = None
 

@@ -205,6 +205,13 @@ def knob(name: str) -> Knob:
     raise InputError(f"there is no knob {name!r}; there are {', '.join(k.name for k in KNOBS)}")
 
 
+def has_all(choices: Mapping[str, str], renderer: str) -> bool:
+    """Whether `renderer` has these values of knobs, by name."""
+    return all(
+        any(value.text == text for value in knob(name).values_for(renderer)) for name, text in choices.items()
+    )
+
+
 def apply_choices(plan: Plan, choices: Mapping[str, str], renderer: str) -> Plan:
     """`plan` with knobs set: name -> value as typed.
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from splatview.measure.knobs import Plan
+from splatview.measure.knobs import Plan, has_all
 from splatview.measure.metrics import enlarged
 from splatview.renderers import MODES, VisualMode, automatic_choice, make_renderer, on_this_gl
 from splatview.renderers.quality import reduced
@@ -24,14 +25,19 @@ MOST_HELD = 1 << 30
 """Bytes of scenes that stay loaded besides the latest."""
 
 
-def make_headless(name: str, *, mode: VisualMode = "splats") -> Renderer:
-    """The renderer called `name`; "auto" takes what `automatic_choice` says.
+def make_headless(
+    name: str, *, mode: VisualMode = "splats", knobs: Mapping[str, str] = MappingProxyType({})
+) -> Renderer:
+    """The renderer called `name`; "auto" takes what `automatic_choice` says, but on a GPU `quads` for what
+    `tiles` have not: `mode`, or the values of `knobs` by name.
 
     Raises:
         InputError: it does not work here, or cannot show `mode`.
     """
     if name == "auto":
         name = automatic_choice()[0]
+        if name == "tiles" and not (name in MODES[mode].backends and has_all(knobs, name)):
+            name = "quads"
     if name not in MODES[mode].backends:
         raise InputError(f"--mode {mode} needs --renderer {' or '.join(MODES[mode].backends)}")
     if name in ("cpu", "reference"):

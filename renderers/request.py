@@ -20,13 +20,6 @@ from splatview.scene.order_reuse import keeps_order
 
 Precision = Literal["float16", "float32", "unorm8"]
 
-OWN_ORDERS: Mapping[Order, str] = {
-    "weighted": "quads",
-    "stochastic": "quads",
-    "per-pixel": "cpu or tiles",
-}
-"""Renderers of the orders that not every one has."""
-
 TINT_COUNT = 2 * PREVIEW
 """Rows of a table of tints: one for each set of state flags."""
 
@@ -173,10 +166,7 @@ class Capabilities:
         if settings.order not in self.orders and self.needs:
             return f"{settings.order} order needs {self.needs}; use 32-bit"
         if settings.order not in self.orders:
-            elsewhere = (
-                f"; use --renderer {OWN_ORDERS[settings.order]}" if settings.order in OWN_ORDERS else ""
-            )
-            return f"{settings.order} order is not for {self.backend}: {', '.join(self.orders)}{elsewhere}"
+            return f"{settings.order} order is not for {self.backend}: {', '.join(self.orders)}"
         if keeps_order(settings) and not self.reuses_order:
             return f"an order that is kept for several frames needs {self.needs}; use --resort 1"
         if request.mode not in self.modes:

@@ -44,7 +44,7 @@ def render(
     )
     if not isinstance(renderer, str):
         return renderer.render(request).astype(np.float32, copy=False)
-    made = make_headless(renderer, mode=mode)
+    made = make_headless(renderer, mode=mode, knobs={"order": request.settings.order})
     try:
         return made.render(request).astype(np.float32, copy=False)
     finally:

@@ -10,6 +10,7 @@ import pytest
 
 from splatview import renderers
 from splatview.renderers.gl import context, faster
+from splatview.renderers.headless import make_headless
 from splatview.viewer import picture
 
 
@@ -85,6 +86,16 @@ def test_a_gpu_gets_the_faster_one_with_and_without_a_window(ctx, tried, monkeyp
     name, why = renderers.automatic_choice()
     assert name == "tiles"
     assert "tiles 3.0 ms" in why
+    chosen = [
+        make_headless("auto"),
+        make_headless("auto", mode="points"),
+        make_headless("auto", knobs={"order": "weighted"}),
+        make_headless("auto", knobs={"blend": "float16", "keep": "75"}),
+        make_headless("auto", mode="normals", knobs={"order": "16-bit", "keep": "75"}),
+    ]
+    assert [each.name for each in chosen] == ["tiles", "quads", "quads", "quads", "tiles"]
+    for each in chosen:
+        each.close()
     with ctx:
         made = picture.choose_picture(ctx, "auto")
         assert made.backend == "tiles"
