@@ -70,6 +70,7 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("unseen splats", stay={"least_shown": 0.0, "least_visibility": 0.0}),
     *_rungs("hidden splats", stay={"least_visibility": 0.0}),
     *_rungs("splats of one photo", stay={"most_of_one": 1.0}),
+    *_rungs("frozen splats", none={"few_views": 0}),
     *_rungs("regularisers", whatever_the_loss={"full_reg_loss": 0.0}),
     *_rungs("dropout", off={"dropout": 0.0}),
     *_rungs("elongation", free={"max_aspect": math.inf}),

@@ -32,7 +32,7 @@ REFINED = ("refined_at", "refined_progress")
 ELSEWHERE = ("extent", "focal", *REFINED)
 """What of a strategy's state is no array of its own in the file."""
 
-STATE_NAMES = {"gradient_sums": "pulled", "view_counts": "seen", "sky": "sky"}
+STATE_NAMES = {"gradient_sums": "pulled", "view_counts": "seen", "sky": "sky", "frozen": "frozen"}
 """Names in the file of the state's arrays that have a row for each splat."""
 
 

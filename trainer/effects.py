@@ -24,6 +24,7 @@ from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.exposure import DECIDED_BY, Exposures
+from splatview.trainer.free_space import LOOK_STEPS
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
 from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
 from splatview.trainer.settings import TrainSettings, automatic_regularisation
@@ -45,6 +46,8 @@ EXPOSURE = "exposure of each photo"
 OUTLIERS = "photos left out"
 
 PASSING = "splats of one photo"
+
+FROZEN = "frozen splats"
 
 SKY = "sky"
 
@@ -103,6 +106,7 @@ def capture_effects(
         _exposure(settings),
         _outliers(len(capture.train), settings),
         _passing(settings),
+        _frozen(len(capture.train), settings),
         _masks(capture),
         _lens(capture),
         _antialiased(capture, settings, antialiased),
@@ -160,6 +164,14 @@ def with_passing(effects: tuple[Effect, ...], count: int | None) -> tuple[Effect
     )
 
 
+def with_frozen(effects: tuple[Effect, ...], frozen: int, count: int) -> tuple[Effect, ...]:
+    """The same once a run has ended with so many splats frozen of `count`."""
+    why = f"{frozen:,} of {count:,} splats, in too few photos' frames" if frozen else "all are in more frames"
+    return tuple(
+        replace(effect, on=frozen > 0, why=why) if effect.name == FROZEN else effect for effect in effects
+    )
+
+
 def with_withheld(effects: tuple[Effect, ...], withheld: Withheld) -> tuple[Effect, ...]:
     """The same once blocks are given back, and the run goes on or settles."""
     why = "until then the scene became better where photos did without them, or hardly worse"
@@ -186,6 +198,17 @@ def _passing(settings: TrainSettings) -> Effect:
     why = "they stay, as asked for" if stay else "as the run ends, in front of what other photos show"
     saving = Saving(what="a picture of each photo's view, once")
     return Effect(name=PASSING, on=False, why=why, saving=saving)
+
+
+def _frozen(photos: int, settings: TrainSettings) -> Effect:
+    few, until = settings.few_views, settings.few_views_until
+    why = f"from {until:.0%} of the run on, those in the frames of {few} photos or fewer"
+    if not few:
+        why = "all learn to the end, as asked for"
+    elif not photos > 2 * few:
+        why = f"of {photos} photos each counts"
+    saving = Saving(what=f"the places of all splats in the photos' frames, every {LOOK_STEPS} steps")
+    return Effect(name=FROZEN, on=False, why=why, saving=saving)
 
 
 def _outliers(photos: int, settings: TrainSettings) -> Effect:

@@ -106,6 +106,15 @@ MOST_OF_ONE = 0.95
 LEAST_BEHIND = 0.99
 """Opacity of all else where such a splat is, from which on it stands before what others show."""
 
+FEW_VIEWS = 2
+"""See `TrainSettings.few_views`."""
+
+LEARN_UNTIL = 0.15
+"""See `TrainSettings.few_views_until`."""
+
+LOOK_STEPS = 200
+"""Steps after which it is looked again which splats few photos can show: they move, and new ones come."""
+
 COUNTED_PIXELS = 60_000
 """Of photos that are looked at for that: of larger ones a smaller picture tells."""
 
@@ -117,8 +126,7 @@ def nearest_depths(points: np.ndarray, views: Sequence[TrainView]) -> np.ndarray
     """(V,) float64: the depth at which what each photo shows begins, by points (P, 3); 0 where unknown."""
     depths = np.zeros(len(views))
     for row, view in enumerate(views):
-        local = _local(points, view.camera)
-        shown = local[_is_inside(local, view.camera), 2]
+        shown = _local(points[in_picture(points, view.camera)], view.camera)[:, 2]
         if len(shown) >= LEAST_POINTS:
             depths[row] = np.quantile(shown, NEAREST)
     return depths
@@ -128,7 +136,7 @@ def standing_before(means: np.ndarray, indices: np.ndarray, camera: Camera, dept
     """Those of the splats at `indices` (V,) whose means (N, 3) a camera shows nearer than a depth."""
     axis, offset = camera.R_camera_world[2], camera.t_camera_world[2]
     near = indices[means[indices] @ axis.astype(np.float32) < np.float32(depth - offset)]
-    return near[_is_inside(_local(means[near], camera), camera)] if len(near) else near
+    return near[in_picture(means[near], camera)] if len(near) else near
 
 
 def limit_sizes(
@@ -162,13 +170,25 @@ def _local(points: np.ndarray, camera: Camera) -> np.ndarray:
     return points.astype(np.float64) @ camera.R_camera_world.T + camera.t_camera_world
 
 
-def _is_inside(local: np.ndarray, camera: Camera) -> np.ndarray:
-    """(P,) bool: which of the places (P, 3) in a camera's frame lie ahead and within its picture."""
+def in_picture(points: np.ndarray, camera: Camera) -> np.ndarray:
+    """(P,) bool: which of the places (P, 3) lie ahead of a camera and within its picture."""
+    local = _local(points, camera)
     inside = local[:, 2] > 0
     x, y = camera.image_points(local[inside]).T
     with np.errstate(invalid="ignore"):
         inside[inside] = (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
     return inside
+
+
+def shown_by_few(means: np.ndarray, cameras: Sequence[Camera], few: int) -> np.ndarray:
+    """(N,) bool: which of the places (N, 3) lie in the pictures of at most `few` cameras."""
+    counts, rest = np.zeros(len(means), np.int32), np.arange(len(means))
+    for camera in cameras:
+        counts[rest] += in_picture(means[rest], camera)
+        rest = rest[counts[rest] <= few]  # soon nothing is left where all photos show the same
+        if not len(rest):
+            break
+    return counts <= few
 
 
 def worth_keeping(

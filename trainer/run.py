@@ -36,6 +36,7 @@ from splatview.trainer.effects import (
     PASSING,
     with_easing,
     with_exposure,
+    with_frozen,
     with_outliers,
     with_passing,
     with_withheld,
@@ -307,6 +308,8 @@ class TrainingRun:
             if self.trainer.passed:
                 why = next((effect.why for effect in self.effects if effect.name == PASSING), "")
                 self.on_note(f"{PASSING}: {why}; --passing stay leaves them in")
+        if self.trainer.done and (frozen := self.trainer.frozen) is not None:
+            self.effects = with_frozen(self.effects, frozen, len(self.trainer.splats))
         self._tell_easing()
         evaluation = None
         if self.held_out and self._evaluation_is_due(report.iteration):

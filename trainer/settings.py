@@ -15,7 +15,15 @@ from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.adam_kernels import REST_DIVISOR, Rates
-from splatview.trainer.free_space import FREE_SPACE, LEAST_SHOWN, LEAST_VISIBILITY, MAX_SIZE, MOST_OF_ONE
+from splatview.trainer.free_space import (
+    FEW_VIEWS,
+    FREE_SPACE,
+    LEARN_UNTIL,
+    LEAST_SHOWN,
+    LEAST_VISIBILITY,
+    MAX_SIZE,
+    MOST_OF_ONE,
+)
 from splatview.trainer.loss import SSIM_WEIGHT
 from splatview.trainer.strategies import STRATEGIES, StrategySettings
 from splatview.trainer.strategies.mcmc import LEAST_REG
@@ -322,6 +330,11 @@ class TrainSettings(StrategySettings):
     withheld: float = 0.0
     """Share of the photos' pixels that a run does without at first, to see whether it still learns; 0: none.
     It may then end sooner than after `iterations`. See `withheld`, which says what 0.06 costs and brings."""
+    few_views: int = FEW_VIEWS
+    """Splats that lie in the frames of at most so many photos stop learning at `few_views_until`, where there
+    are more than twice as many photos; 0: none. See `free_space`."""
+    few_views_until: float = LEARN_UNTIL
+    """Share of the run."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -358,6 +371,10 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"most_of_one must be 0.5 to 1, got {self.most_of_one}")
         if not self.max_size > 0:
             raise ValueError(f"max_size must be above 0, got {self.max_size}")
+        if not self.few_views >= 0:
+            raise ValueError(f"few_views must not be negative, got {self.few_views}")
+        if not 0 <= self.few_views_until <= 1:
+            raise ValueError(f"few_views_until must be 0 to 1, got {self.few_views_until}")
         if not 0 <= self.withheld <= 0.5:
             raise ValueError(f"withheld must be 0 to 0.5, got {self.withheld}")
         if not 0 <= self.dropout < 1:
@@ -423,6 +440,8 @@ WITHOUT_WORD = {
     "most_of_one": 1.0,
     "max_size": math.inf,
     "withheld": 0.0,
+    "few_views": 0,
+    "few_views_until": 1.0,
 }
 """Fields that older checkpoints do not have, as their runs went."""
 

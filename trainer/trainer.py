@@ -20,7 +20,15 @@ from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
-from splatview.trainer.free_space import GONE, limit_sizes, passing, standing_before, worth_keeping
+from splatview.trainer.free_space import (
+    GONE,
+    LOOK_STEPS,
+    limit_sizes,
+    passing,
+    shown_by_few,
+    standing_before,
+    worth_keeping,
+)
 from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
 from splatview.trainer.initialisation import comments_for
 from splatview.trainer.outliers import Outliers
@@ -236,10 +244,11 @@ class Trainer:
         optimizer.set_options("sh", rest_divisor=settings.sh_divisor)
         info, loss = self._backward(progress)
         self._check_seen(info)
+        self._leave_frozen(info, progress)
         counters.iteration += 1
         held = hold(splats.arrays, self.state)
         with clock.stage("adam"):
-            optimizer.step(info.pieces if settings.visible_only else None)
+            optimizer.step(info.pieces if settings.visible_only else self._all_learning())
         if self.exposures.is_on:
             with clock.stage("exposure"):
                 self.exposures.step(progress, settings.batch)
@@ -496,6 +505,30 @@ class Trainer:
                 f" points of the capture lie before its cameras, {self.settings.model.near:g} units away at"
                 " least"
             )
+
+    def _leave_frozen(self, info: Visibility, progress: float) -> None:
+        """Takes those splats out of what a step moves that few photos can show, once they have learnt long
+        enough. See `free_space`."""
+        settings, taken = self.settings, self.views.taken
+        if not settings.few_views or progress < settings.few_views_until:
+            return
+        if len(taken) <= 2 * settings.few_views:
+            return
+        iteration = self.counters.iteration
+        if "frozen" not in self.state or iteration % LOOK_STEPS == 0 or self.state["refined_at"] == iteration:
+            cameras = [view.camera for view in taken]
+            frozen = shown_by_few(self.splats.arrays.means, cameras, settings.few_views)
+            self.state["frozen"] = frozen & (self.state["sky"] == 0) if "sky" in self.state else frozen
+        info.pieces = [piece[~self.state["frozen"][piece]] for piece in info.pieces]
+
+    @property
+    def frozen(self) -> int | None:
+        """Splats that learn no more; None: nobody has looked."""
+        return int(self.state["frozen"].sum()) if "frozen" in self.state else None
+
+    def _all_learning(self) -> list[np.ndarray] | None:
+        """Indices of the splats that are not frozen, in a list; None: of all."""
+        return [np.flatnonzero(~self.state["frozen"]).astype(np.int32)] if "frozen" in self.state else None
 
     def _clear_free_space(self, info: Visibility) -> None:
         """Makes invisible what stands before the cameras of the step's photos, nearer than what they show,

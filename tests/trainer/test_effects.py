@@ -18,6 +18,7 @@ from splatview.trainer.effects import (
     BLOCKS,
     COVERED,
     FEW_PHOTOS,
+    FROZEN,
     OUTLIERS,
     PASSING,
     SCALE_RATIO,
@@ -110,6 +111,7 @@ def test_each_effect_names_its_evidence():
         FEW_PHOTOS,
         OUTLIERS,
         PASSING,
+        FROZEN,
     }
     assert "12.50% of all pixels" in rich["masks"][1]
     assert "3 of 4 photos have a lens that moves points by up to 12.3 px" in rich["lens distortion"][1]
