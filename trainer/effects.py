@@ -201,8 +201,8 @@ def _passing(settings: TrainSettings) -> Effect:
 
 
 def _frozen(photos: int, settings: TrainSettings) -> Effect:
-    few, until = settings.few_views, settings.few_views_until
-    why = f"from {until:.0%} of the run on, those in the frames of {few} photos or fewer"
+    few, rounds = settings.few_views, settings.few_views_rounds
+    why = f"after {rounds:g} rounds of photos, those in the frames of {few} photos or fewer"
     if not few:
         why = "all learn to the end, as asked for"
     elif not photos > 2 * few:

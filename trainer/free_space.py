@@ -109,8 +109,8 @@ LEAST_BEHIND = 0.99
 FEW_VIEWS = 2
 """See `TrainSettings.few_views`."""
 
-LEARN_UNTIL = 0.15
-"""See `TrainSettings.few_views_until`."""
+FEW_VIEWS_ROUNDS = 90
+"""See `TrainSettings.few_views_rounds`."""
 
 LOOK_STEPS = 200
 """Steps after which it is looked again which splats few photos can show: they move, and new ones come."""

@@ -17,8 +17,8 @@ from splatview.scene.gaussians import SH_COEFFICIENTS
 from splatview.trainer.adam_kernels import REST_DIVISOR, Rates
 from splatview.trainer.free_space import (
     FEW_VIEWS,
+    FEW_VIEWS_ROUNDS,
     FREE_SPACE,
-    LEARN_UNTIL,
     LEAST_SHOWN,
     LEAST_VISIBILITY,
     MAX_SIZE,
@@ -331,10 +331,10 @@ class TrainSettings(StrategySettings):
     """Share of the photos' pixels that a run does without at first, to see whether it still learns; 0: none.
     It may then end sooner than after `iterations`. See `withheld`, which says what 0.06 costs and brings."""
     few_views: int = FEW_VIEWS
-    """Splats that lie in the frames of at most so many photos stop learning at `few_views_until`, where there
-    are more than twice as many photos; 0: none. See `free_space`."""
-    few_views_until: float = LEARN_UNTIL
-    """Share of the run."""
+    """Splats that lie in the frames of at most so many photos stop learning after `few_views_rounds`, where
+    there are more than twice as many photos; 0: none. See `free_space`."""
+    few_views_rounds: float = FEW_VIEWS_ROUNDS
+    """Times that every photo was looked at."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -373,8 +373,8 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"max_size must be above 0, got {self.max_size}")
         if not self.few_views >= 0:
             raise ValueError(f"few_views must not be negative, got {self.few_views}")
-        if not 0 <= self.few_views_until <= 1:
-            raise ValueError(f"few_views_until must be 0 to 1, got {self.few_views_until}")
+        if not self.few_views_rounds >= 0:
+            raise ValueError(f"few_views_rounds must not be negative, got {self.few_views_rounds}")
         if not 0 <= self.withheld <= 0.5:
             raise ValueError(f"withheld must be 0 to 0.5, got {self.withheld}")
         if not 0 <= self.dropout < 1:
@@ -441,7 +441,7 @@ WITHOUT_WORD = {
     "max_size": math.inf,
     "withheld": 0.0,
     "few_views": 0,
-    "few_views_until": 1.0,
+    "few_views_rounds": 0.0,
 }
 """Fields that older checkpoints do not have, as their runs went."""
 

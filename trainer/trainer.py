@@ -244,7 +244,7 @@ class Trainer:
         optimizer.set_options("sh", rest_divisor=settings.sh_divisor)
         info, loss = self._backward(progress)
         self._check_seen(info)
-        self._leave_frozen(info, progress)
+        self._leave_frozen(info)
         counters.iteration += 1
         held = hold(splats.arrays, self.state)
         with clock.stage("adam"):
@@ -506,11 +506,11 @@ class Trainer:
                 " least"
             )
 
-    def _leave_frozen(self, info: Visibility, progress: float) -> None:
+    def _leave_frozen(self, info: Visibility) -> None:
         """Takes those splats out of what a step moves that few photos can show, once they have learnt long
         enough. See `free_space`."""
         settings, taken = self.settings, self.views.taken
-        if not settings.few_views or progress < settings.few_views_until:
+        if not settings.few_views or not self._rounds >= settings.few_views_rounds:
             return
         if len(taken) <= 2 * settings.few_views:
             return

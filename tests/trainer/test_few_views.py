@@ -64,7 +64,7 @@ def test_what_few_photos_show_stops_learning(
     views: list[TrainView], aside: Parameters, make_trainer: Make, visible_only: bool
 ) -> None:
     given = {"iterations": 24, "strategy": "classic", "refine_from": 1.0, "visible_only": visible_only}
-    frozen = run(make_trainer(), views, aside, few_views=1, few_views_until=0.0, **given)
+    frozen = run(make_trainer(), views, aside, few_views=1, few_views_rounds=0, **given)
     assert frozen.state["frozen"][0] and not frozen.state["frozen"].all()
     change = moved(frozen, aside)
     assert change[0] == 0
@@ -72,7 +72,7 @@ def test_what_few_photos_show_stops_learning(
     free = run(make_trainer(), views, aside, few_views=0, **given)
     assert moved(free, aside)[0] > 0
     assert "frozen" not in free.state
-    late = run(make_trainer(), views, aside, few_views=1, few_views_until=0.5, **given)
+    late = run(make_trainer(), views, aside, few_views=1, few_views_rounds=1, **given)
     assert moved(late, aside)[0] > 0
 
 
@@ -80,14 +80,14 @@ def test_a_run_on_few_photos_freezes_nothing(
     views: list[TrainView], aside: Parameters, make_trainer: Make
 ) -> None:
     enough = (len(views) - 1) // 2
-    trainer = run(make_trainer(), views, aside, iterations=6, few_views=enough + 1, few_views_until=0.0)
+    trainer = run(make_trainer(), views, aside, iterations=6, few_views=enough + 1, few_views_rounds=0)
     assert "frozen" not in trainer.state
 
 
 def test_a_resumed_run_freezes_the_same(
     views: list[TrainView], aside: Parameters, make_trainer: Make, tmp_path: Path
 ) -> None:
-    settings = replace(make_trainer().settings, iterations=12, few_views=1, few_views_until=0.0)
+    settings = replace(make_trainer().settings, iterations=12, few_views=1, few_views_rounds=0)
     trainers = [Trainer(TrainViews(views[1:], 0), aside, 3.0, settings) for _ in range(2)]
     for _ in range(5):
         trainers[0].step()
@@ -101,7 +101,7 @@ def test_a_resumed_run_freezes_the_same(
         assert np.array_equal(ours, theirs)
 
 
-@pytest.mark.parametrize("wrong", [{"few_views": -1}, {"few_views_until": 1.5}, {"few_views_until": np.nan}])
+@pytest.mark.parametrize("wrong", [{"few_views": -1}, {"few_views_rounds": -1}, {"few_views_rounds": np.nan}])
 def test_settings_that_make_no_sense(make_trainer: Make, wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         replace(make_trainer().settings, **wrong)
