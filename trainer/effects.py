@@ -24,7 +24,7 @@ from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.exposure import DECIDED_BY, Exposures
-from splatview.trainer.free_space import LOOK_STEPS
+from splatview.trainer.free_space import FEW_OF, LOOK_STEPS
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
 from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
 from splatview.trainer.settings import TrainSettings, automatic_regularisation
@@ -205,7 +205,7 @@ def _frozen(photos: int, settings: TrainSettings) -> Effect:
     why = f"after {rounds:g} rounds of photos, those in the frames of {few} photos or fewer"
     if not few:
         why = "all learn to the end, as asked for"
-    elif not photos > 2 * few:
+    elif not photos > FEW_OF * few:
         why = f"of {photos} photos each counts"
     saving = Saving(what=f"the places of all splats in the photos' frames, every {LOOK_STEPS} steps")
     return Effect(name=FROZEN, on=False, why=why, saving=saving)

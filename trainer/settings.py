@@ -332,7 +332,7 @@ class TrainSettings(StrategySettings):
     It may then end sooner than after `iterations`. See `withheld`, which says what 0.06 costs and brings."""
     few_views: int = FEW_VIEWS
     """Splats that lie in the frames of at most so many photos stop learning after `few_views_rounds`, where
-    there are more than twice as many photos; 0: none. See `free_space`."""
+    there are more than five times as many photos; 0: none. See `free_space`."""
     few_views_rounds: float = FEW_VIEWS_ROUNDS
     """Times that every photo was looked at."""
     visible_only: bool = True

@@ -21,6 +21,7 @@ from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
 from splatview.trainer.free_space import (
+    FEW_OF,
     GONE,
     LOOK_STEPS,
     limit_sizes,
@@ -512,7 +513,7 @@ class Trainer:
         settings, taken = self.settings, self.views.taken
         if not settings.few_views or not self._rounds >= settings.few_views_rounds:
             return
-        if len(taken) <= 2 * settings.few_views:
+        if len(taken) <= FEW_OF * settings.few_views:
             return
         iteration = self.counters.iteration
         if "frozen" not in self.state or iteration % LOOK_STEPS == 0 or self.state["refined_at"] == iteration:

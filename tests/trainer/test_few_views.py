@@ -12,7 +12,7 @@ import pytest
 from splatview.raster import Parameters
 from splatview.scene import Lens, look_at
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
-from splatview.trainer.free_space import in_picture, shown_by_few
+from splatview.trainer.free_space import FEW_OF, in_picture, shown_by_few
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 
@@ -79,7 +79,7 @@ def test_what_few_photos_show_stops_learning(
 def test_a_run_on_few_photos_freezes_nothing(
     views: list[TrainView], aside: Parameters, make_trainer: Make
 ) -> None:
-    enough = (len(views) - 1) // 2
+    enough = (len(views) - 1) // FEW_OF
     trainer = run(make_trainer(), views, aside, iterations=6, few_views=enough + 1, few_views_rounds=0)
     assert "frozen" not in trainer.state
 
