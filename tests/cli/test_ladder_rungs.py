@@ -70,7 +70,7 @@ def drawn(scene: HeadlessScene, choices: dict[str, str], camera: Camera = CAMERA
 def shared_renderers():
     made: dict[str, Renderer] = {}
 
-    def make(name: str, *, mode: str = "splats") -> Renderer:
+    def make(name: str, **_: object) -> Renderer:
         if name not in made:
             made[name] = make_headless(name)
         return made[name]
