@@ -138,7 +138,6 @@ def make_renderer(
 def automatic_choice() -> tuple[str, str]:
     """What "auto" takes here without a window, and why."""
     from splatview.renderers.gl.context import create_headless_context, describe, discard
-    from splatview.renderers.gl.faster import faster
 
     try:
         ctx = create_headless_context()
@@ -150,6 +149,8 @@ def automatic_choice() -> tuple[str, str]:
             if find_spec("numba") is not None:
                 return "cpu", f"OpenGL is only software here ({info.renderer})"
             return "quads", f"OpenGL runs on {info.renderer}"
+        from splatview.renderers.gl.renderer_choice import faster
+
         return faster(ctx)
     finally:
         discard(ctx)

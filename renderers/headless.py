@@ -165,7 +165,7 @@ class HeadlessScene:
 
     def draw(self, camera: Camera, plan: Plan, *, anew: bool = False) -> tuple[np.ndarray, float]:
         """The time is up to finished pixels. A window neither reads them back from a GPU nor enlarges them
-        without it: at 1920x1080 that took 10 and 40 ms, drawing by `tiles` on an H100 two."""
+        without it: at 1920x1080 that took 14 and some 40 ms, drawing by `tiles` two (ladder_gpu.json)."""
         begun = time.perf_counter()
         if anew:
             self._renderer.forget_order()

@@ -510,9 +510,10 @@ class Trainer:
     def _leave_frozen(self, info: Visibility) -> None:
         """Takes those splats out of what a step moves that few photos can show, once they have learnt long
         enough. See `free_space`."""
-        settings, taken = self.settings, self.views.taken
+        settings = self.settings
         if not settings.few_views or not self._rounds >= settings.few_views_rounds:
             return
+        taken = self.views.taken
         if len(taken) <= FEW_OF * settings.few_views:
             return
         iteration = self.counters.iteration

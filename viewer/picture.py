@@ -11,7 +11,6 @@ import numpy as np
 from splatview.renderers import choices, make_renderer, on_this_gl
 from splatview.renderers.async_renderer import AsyncRenderer
 from splatview.renderers.gl.context import describe
-from splatview.renderers.gl.faster import faster
 from splatview.renderers.gl.renderer import GLRenderer
 from splatview.renderers.gl.shader_fallback import FallbackShaders
 from splatview.renderers.precompile import ShaderPrecompiler
@@ -235,8 +234,15 @@ def choose_picture(
     if renderer not in RENDERERS:
         raise InputError(f"--renderer {renderer}: the window has {', '.join(RENDERERS)}")
     if renderer == "auto":
-        renderer = "cpu" if describe(ctx).is_software else faster(ctx)[0]
+        renderer = "cpu" if describe(ctx).is_software else fastest_by_gl(ctx)
     return Picture(ctx, renderer, on_ready=on_ready, precompiler=precompiler)
+
+
+def fastest_by_gl(ctx: moderngl.Context) -> str:
+    """Name of the renderer by OpenGL that draws fastest here."""
+    from splatview.renderers.gl.renderer_choice import faster  # with the modules of all of them
+
+    return faster(ctx)[0]
 
 
 EMPTY = Gaussians(

@@ -160,7 +160,8 @@ ROW_BYTES = 16
 RECORD_ROWS = 3
 """Of a projected splat, see ``common/records.glsl``. Together, not in an array each: most of what tiles do
 with millions of splats is to fetch their records from anywhere in memory. On an H200 `tiles` took 15.1 ms to
-draw 6 million with an array each and takes 8.4; with a million, which its cache holds, 2.1 and 2.1."""
+draw 6 million with an array each and takes 8.4; with a million, which its cache holds, 2.1 and 2.1
+(records_gpu.json)."""
 
 FIRST_RECORD_UNIT = 3
 """Texture units from here on are those of records, in textures, then of discs and slopes."""

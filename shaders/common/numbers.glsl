@@ -8,22 +8,13 @@ bool is_finite(vec4 v) { return is_finite(v.xy) && is_finite(v.zw); }
 // a / b. GPUs multiply by the reciprocal of b, which is subnormal from 2^126 on, and counts as 0: an H200 gave 0
 // for 1e38 / 1e38. Both are made smaller first, by a power of two, so that no digit changes.
 const float GREAT_DIVISOR = 1e19, SHRUNK = 5.421010862427522e-20;  // 2^-64
-float quotient(float a, float b) {
-    float unit = abs(b) > GREAT_DIVISOR ? SHRUNK : 1.0;
-    return (a * unit) / (b * unit);
-}
-vec2 quotient(vec2 a, float b) {
-    float unit = abs(b) > GREAT_DIVISOR ? SHRUNK : 1.0;
-    return (a * unit) / (b * unit);
-}
-vec3 quotient(vec3 a, float b) {
-    float unit = abs(b) > GREAT_DIVISOR ? SHRUNK : 1.0;
-    return (a * unit) / (b * unit);
-}
 vec4 quotient(vec4 a, float b) {
     float unit = abs(b) > GREAT_DIVISOR ? SHRUNK : 1.0;
     return (a * unit) / (b * unit);
 }
+vec3 quotient(vec3 a, float b) { return quotient(vec4(a, 0.0), b).xyz; }
+vec2 quotient(vec2 a, float b) { return quotient(vec4(a, 0.0, 0.0), b).xy; }
+float quotient(float a, float b) { return quotient(vec4(a), b).x; }
 
 // sqrt(a² + b²), of numbers whose squares may leave float32's range.
 vec2 hypotenuse(vec2 a, vec2 b) {

@@ -52,7 +52,7 @@ def faster(ctx: moderngl.Context) -> tuple[str, str]:
 
 
 def memory() -> Path:
-    return cache_folder() / "faster.json"
+    return cache_folder() / "renderers.json"
 
 
 def remembered(path: Path) -> dict[str, dict[str, float]]:
