@@ -23,6 +23,7 @@ from splatview.scene.captures import Capture
 from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
+from splatview.trainer.backdrop import Surround
 from splatview.trainer.exposure import DECIDED_BY, Exposures
 from splatview.trainer.free_space import FEW_OF, LOOK_STEPS
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
@@ -50,6 +51,8 @@ PASSING = "splats of one photo"
 FROZEN = "frozen splats"
 
 SKY = "sky"
+
+SURROUND = "surround"
 
 BLOCKS = "withheld blocks"
 
@@ -112,6 +115,7 @@ def capture_effects(
         _antialiased(capture, settings, antialiased),
         _background(capture, settings),
         _sky(settings),
+        _surround(settings),
         _covered(len(capture.train), settings, covered),
         _blocks(settings),
         _few_photos(len(capture.train), settings),
@@ -317,7 +321,7 @@ def _background(capture: Capture, settings: TrainSettings) -> Effect:
             f"; {colour} is behind the scene, the plain colour before which they stand, and is no part of it"
         )
     else:
-        behind = ", and they stand before no plain colour: black"
+        behind = ", and they stand before no plain colour"
     if transparent and settings.alpha_weight > 0:
         behind += f"; their opacity is part of the loss, {settings.alpha_weight:g} of its mean difference"
     return Effect(
@@ -346,6 +350,26 @@ def _sky(settings: TrainSettings) -> Effect:
         name=SKY,
         on=settings.sky == "on",
         why="as asked for" if settings.sky != "auto" else "far splats where photos agree at infinity",
+        saving=Saving(what="far splats behind all others"),
+    )
+
+
+def with_surround_found(
+    effects: tuple[Effect, ...], surround: Surround | None, count: int
+) -> tuple[Effect, ...]:
+    """The same once it is decided whether there is a surround, of so many splats; None: in an earlier part
+    of the run."""
+    why = "as the run began" if surround is None else surround.why
+    return tuple(replace(one, on=count > 0, why=why) if one.name == SURROUND else one for one in effects)
+
+
+def _surround(settings: TrainSettings) -> Effect:
+    return Effect(
+        name=SURROUND,
+        on=False,
+        why="a background is asked for"
+        if settings.surround == "off"
+        else "far splats of the mean colour of opaque photos",
         saving=Saving(what="far splats behind all others"),
     )
 

@@ -265,6 +265,9 @@ class TrainSettings(StrategySettings):
     backdrop: Literal["auto", "off"] = "auto"
     """Whether photos that show the background as a plain colour, connected to their border, are known to be
     empty there. See `backdrop`."""
+    surround: Literal["auto", "off"] = "auto"
+    """Whether far splats of the photos' mean colour are behind a scene of opaque photos, instead of black.
+    See `backdrop`."""
     model: ImageModel = field(default_factory=ImageModel)
     ssim_weight: float = SSIM_WEIGHT
     alpha_weight: float = ALPHA_WEIGHT
@@ -355,7 +358,7 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"start must be auto, points or stereo, got {self.start!r}")
         if self.sky not in ("auto", "on", "off"):
             raise ValueError(f"sky must be auto, on or off, got {self.sky!r}")
-        for name in ("backdrop", "outliers"):
+        for name in ("backdrop", "outliers", "surround"):
             if getattr(self, name) not in ("auto", "off"):
                 raise ValueError(f"{name} must be auto or off, got {getattr(self, name)!r}")
         if not self.max_aspect >= 1:
@@ -433,6 +436,7 @@ WITHOUT_WORD = {
     "backdrop": "off",
     "full_reg_loss": 0.0,
     "sky": "off",
+    "surround": "off",
     "outliers": "off",
     "free_space": 0.0,
     "least_shown": 0.0,

@@ -17,6 +17,7 @@ from splatview.raster.frame import StageClock
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import Crop, cropped_in
 from splatview.trainer.adam import SelectiveAdam
+from splatview.trainer.backdrop import SURROUND, Surround, surround_drawn
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
@@ -36,7 +37,7 @@ from splatview.trainer.outliers import Outliers
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
 from splatview.trainer.progressive import ProgressiveResolution, mean_difference
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.sky import Sky, hold, restore
+from splatview.trainer.sky import Sky, hold, restore, shows_scene
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
 from splatview.trainer.strategies.mcmc import need_of_reg
@@ -76,11 +77,12 @@ class Trainer:
         group: Group | None = None,
         loss: LossPlugin | None = None,
         sky: Sky | None = None,
+        surround: Surround | None = None,
     ) -> None:
         """`centre` (3,) float64: where the origin of views and parameters is in the world, see
         `Capture.centre`; snapshots, crops and regions are in the world.
         `group`: the processes that share each batch; every one of them has a trainer made alike.
-        `sky`: what was decided about it; its splats are the last of `parameters`."""
+        `sky`, `surround`: what was decided about them; the splats of either are the last of `parameters`."""
         if not 0 < extent < np.inf:
             raise ValueError(f"extent must be positive and finite, got {extent}")
         self.settings = settings
@@ -104,8 +106,10 @@ class Trainer:
         """What the strategy notes, and in "sky", where there is one, which splats are its: see `sky.hold`."""
         self.sky = sky
         """What was decided about a sky; None where nobody looked for one, as in a run that was resumed."""
-        if sky is not None and sky.count:
-            self.state["sky"] = sky.flags(len(self.splats))
+        self.surround = surround
+        for far in (sky, surround):
+            if far is not None and far.count:
+                self.state["sky"] = far.flags(len(self.splats))
         self._rows = {view.camera.name: row for row, view in enumerate(views.all)}
         self.nearest_depths = np.zeros(len(views))
         """(V,) depth at which what each photo shows begins, see `free_space`; 0 where it is not known."""
@@ -277,7 +281,8 @@ class Trainer:
             before = [total.copy() for total in sums]
         try:
             if settings.batch == 1:
-                found = self._render_and_backprop(self.views.at(first, downscale), first)
+                with surround_drawn(self.splats.arrays, self.state, (settings.seed, first, 3)):
+                    found = self._render_and_backprop(self.views.at(first, downscale), first)
             else:
                 found = self._batch_backward(first, downscale, sums, before)
             self._note_differences()
@@ -297,7 +302,8 @@ class Trainer:
         group, photos = self.group, self.settings.batch
         batch = BatchSum(self.splats.parameters())
         for place in range(first + group.rank, first + photos, group.size):
-            info, loss = self._render_and_backprop(self.views.at(place, downscale), place)
+            with surround_drawn(self.splats.arrays, self.state, (self.settings.seed, place, 3)):
+                info, loss = self._render_and_backprop(self.views.at(place, downscale), place)
             with self.clock.stage("batch"):
                 batch.add(info.pieces, loss)
         with self.clock.stage("batch"):
@@ -498,7 +504,7 @@ class Trainer:
 
     def _check_seen(self, info: Visibility) -> None:
         """Raises NothingSeen where a round of photos has shown nothing."""
-        self._unseen = math.nan if len(info) else self._unseen + self.settings.batch
+        self._unseen += math.nan if shows_scene(info.pieces, self.state) else self.settings.batch
         # Of so many in a row each photo is one: orders of the photos differ from round to round.
         if self._unseen >= 2 * len(self.views):
             raise NothingSeen(
@@ -549,8 +555,7 @@ class Trainer:
                     arrays.opacity_logits[wrong] = GONE
 
     def _drop_unseen(self, progress: float) -> None:
-        """Takes out what no photo shows once density control has ended, and at the end of the run; but for
-        what was put in the sky for directions that none shows. See `free_space`."""
+        """Takes out what no photo shows when density control ends and as the run does, but far splats."""
         settings = self.settings
         ended = progress >= settings.refine_until
         if self.done or (ended and not self.state.get("unseen_dropped")):
@@ -562,8 +567,7 @@ class Trainer:
                 least_visibility=settings.least_visibility,
                 threads=self.threads,
             )
-            if "sky" in self.state:
-                kept |= self.state["sky"] > 0
+            kept |= self.state.get("sky", 0) > np.uint8(0)
             if kept.any():
                 self._keep(kept)
         self.state["unseen_dropped"] = int(ended)
@@ -579,6 +583,7 @@ class Trainer:
                 self.render_settings,
                 most_of_one=settings.most_of_one,
                 stays=self.state["sky"] > 0 if "sky" in self.state else None,
+                surround=self.state["sky"] == SURROUND if "sky" in self.state else None,
                 threads=self.threads,
             )
             self.passed = int(wrong.sum())

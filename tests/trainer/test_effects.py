@@ -23,6 +23,7 @@ from splatview.trainer.effects import (
     PASSING,
     SCALE_RATIO,
     SKY,
+    SURROUND,
     Antialiased,
     capture_effects,
     model_for,
@@ -92,7 +93,7 @@ def test_each_effect_names_its_evidence():
     assert plain["lens distortion"] == (False, "all 4 cameras are pinholes")
     assert plain["background"] == (
         False,
-        "0 of 4 photos have transparency, and they stand before no plain colour: black",
+        "0 of 4 photos have transparency, and they stand before no plain colour",
     )
     assert not plain["exposure of each photo"][0]
     assert plain["SH bands"][1].startswith("band 1 from 3%, 2 from 7%, 3 from 10%")
@@ -107,6 +108,7 @@ def test_each_effect_names_its_evidence():
         "antialiased opacity",
         BLOCKS,
         SKY,
+        SURROUND,
         COVERED,
         FEW_PHOTOS,
         OUTLIERS,

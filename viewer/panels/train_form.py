@@ -265,9 +265,9 @@ def _choices(app: AppState, state: TrainingStart) -> None:
         "Background",
         form.background,
         list(BACKGROUNDS),
-        "What is behind the scene, and under transparent photos. A plain colour before which photos stand"
-        " needs no splats.",
-        ("Plain colour of the photos", "Black", "White"),
+        "What is behind the scene, and under transparent photos. By the photos: a plain colour before which"
+        " they stand needs no splats; else far splats of their mean colour stand for what none shows.",
+        ("By the photos", "Black", "White"),
     )
     if background is not None:
         form.background = background
