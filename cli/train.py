@@ -361,8 +361,8 @@ def make_parser() -> Parser:
         type=backdrop,
         metavar="BACK",
         help="what is behind the scene and under transparent photos: auto or r,g,b, 0 to 1 each (default:"
-        " auto: the plain colour before which photos stand, where they do, far splats of opaque photos' mean"
-        " colour behind others that have no sky, black under transparent ones)",
+        " auto: the plain colour before which photos stand, where they do, black under transparent ones, and"
+        " the mean colour of all others)",
     )
     group.add_argument(
         "--antialiased",

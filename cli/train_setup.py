@@ -22,7 +22,7 @@ from splatview.scene.formats import place_beside
 from splatview.scene.formats.io import require_regular_file, take_lock
 from splatview.scene.progress import Progress
 from splatview.scene.user_dirs import cache_folder
-from splatview.trainer.backdrop import SURROUND, find_backdrop, standing_before
+from splatview.trainer.backdrop import find_backdrop, standing_before
 from splatview.trainer.checkpoint import Checkpoint, load_checkpoint, restore
 from splatview.trainer.distributed import (
     Alone,
@@ -33,13 +33,7 @@ from splatview.trainer.distributed import (
     local_processes,
     share_of_cores,
 )
-from splatview.trainer.effects import (
-    capture_effects,
-    with_exposure,
-    with_outliers,
-    with_sky_found,
-    with_surround_found,
-)
+from splatview.trainer.effects import capture_effects, with_exposure, with_outliers, with_sky_found
 from splatview.trainer.free_space import MOST_OF_ONE
 from splatview.trainer.memory import (
     Bound,
@@ -272,10 +266,7 @@ def _prepare(
         notes["plugin"] = {"name": loss.name, "sha256": loss.digest}
     covered = trainer.views.covered(trainer.settings.background)
     effects = capture_effects(capture, trainer.settings, antialiased, covered)
-    far = trainer.state.get("sky", np.empty(0))
-    of_surround = int(np.count_nonzero(far == SURROUND))
-    effects = with_sky_found(effects, trainer.sky, int(np.count_nonzero(far)) - of_surround)
-    effects = with_surround_found(effects, trainer.surround, of_surround)
+    effects = with_sky_found(effects, trainer.sky, int(np.count_nonzero(trainer.state.get("sky", 0))))
     if trainer.exposures.is_decided:
         effects = with_exposure(effects, trainer.exposures)
     if trainer.outliers.is_decided:

@@ -61,11 +61,11 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs(
         "backdrop",
         "a plain backdrop",
-        by_splats={"backdrop": "off", "background": (0.0, 0.0, 0.0), "surround": "off"},
+        by_splats={"backdrop": "off", "background": (0.0, 0.0, 0.0)},
         not_known_as_empty={"backdrop": "off"},
     ),
     *_rungs("sky", "a sky", off={"sky": "off"}),
-    *_rungs("surround", "opaque photos without a sky", black={"surround": "off"}),
+    *_rungs("surround", "photos that show something everywhere", black={"surround": None}),
     *_rungs("free space", "points that photos show", off={"free_space": 0.0}),
     *_rungs("size of splats", any={"max_size": math.inf}),
     *_rungs("unseen splats", stay={"least_shown": 0.0, "least_visibility": 0.0}),

@@ -1,5 +1,5 @@
 """What is behind the scene: the plain colour that photos of one object may stand before, as shops and
-renderers have it, and behind all other opaque photos their mean colour.
+renderers have it, or the mean colour of photos that show something everywhere.
 
 No splat is needed to show a plain colour: it is put behind the scene, in training as in what held-out
 photos are compared with. Splats would have to stand somewhere, and they stood before the cameras, as fog
@@ -13,30 +13,19 @@ behind the scene, 34.0, 29.4 and 35.2 with white, 34.1, 29.2 and 35.6 where it i
 Over black `playbot RGBA 100` scores 34.3 and 38.2 dB without and with that, `train front 30`, lights on
 black, 36.9 and 40.1; over grey 38.4 without (38.6 where photos say what is transparent). No number here
 was chosen on them.
+
+SURROUND_DOC
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from splatview.raster import Parameters
 from splatview.raster.compiling import kernel
-from splatview.scene.sh import SH_C0
-from splatview.trainer.sky import (
-    COARSE_SIGMA,
-    OPACITY,
-    RADIUS_EXTENTS,
-    RADIUS_REACHES,
-    REACH,
-    spacing_of,
-    sphere,
-)
 from splatview.trainer.views import TrainView, TrainViews
 
 BORDER = 0.02
@@ -61,14 +50,7 @@ MOST_PHOTOS = 60
 """Photos that are looked at, spread over all."""
 
 SPREAD = 0.3
-"""Of 1: how far the surround's colour may be from the mean in a step. Always the same one, it explains what
-is about as bright, which then is a hole in the scene."""
-
-SURROUND_SPLATS = 300
-"""Splats of the surround, over the whole sphere: 12 degrees apart."""
-
-SURROUND = 3
-"""In the trainer's state "sky", beside its TRAINED and FIXED: splats of a surround."""
+"""SPREAD_DOC"""
 
 
 class Backdrop(NamedTuple):
@@ -100,70 +82,21 @@ def find_backdrop(views: Sequence[TrainView]) -> Backdrop | None:
     return Backdrop((red, green, blue), float(shares.mean()))
 
 
-@dataclass(frozen=True, eq=False)
-class Surround:
-    """The far splats behind a scene whose photos are opaque, all of the photos' mean colour."""
-
-    why: str
-    """Reason for them, or against them."""
-    parameters: Parameters | None = None
-    """Degree 0; None where there are none."""
-
-    @property
-    def count(self) -> int:
-        return 0 if self.parameters is None else len(self.parameters.means)
-
-    def flags(self, count: int) -> np.ndarray:
-        """(count,) uint8: SURROUND for the last splats, which are the surround's, 0 for the others."""
-        flags = np.zeros(count, np.uint8)
-        flags[count - self.count :] = SURROUND
-        return flags
-
-
-def find_surround(views: Sequence[TrainView], points: np.ndarray, extent: float) -> Surround:
-    """The surround of photos, unless they say what is empty or see no direction twice. `points` (P, 3) are
-    those that training starts from, `extent` is that of the scene, world units."""
+def mean_colour(views: Sequence[TrainView]) -> tuple[float, float, float] | None:
+    """Of photos that show something everywhere, 0 to 1; None where they are transparent or all masked."""
     if any(view.alpha is not None for view in views):
-        return Surround("photos say where nothing is")
-    if any(view.camera.orthographic for view in views):
-        return Surround("photos without perspective have no far background")
-    centre = np.mean([view.camera.eye for view in views], axis=0)
-    distances = np.linalg.norm(points - centre, axis=1)
-    reach = float(np.quantile(distances, REACH)) if len(distances) else 0.0
-    radius = max(RADIUS_EXTENTS * extent, RADIUS_REACHES * reach)
-    colour = np.mean([_mean_colour(view) for view in views], axis=0)
-    count = SURROUND_SPLATS
-    quats = np.zeros((count, 4), np.float32)
-    quats[:, 0] = 1
-    parameters = Parameters(
-        means=(centre + radius * sphere(count)).astype(np.float32),
-        quats=quats,
-        log_scales=np.full((count, 3), math.log(COARSE_SIGMA * radius * spacing_of(count)), np.float32),
-        opacity_logits=np.full(count, math.log(OPACITY / (1 - OPACITY)), np.float32),
-        sh=np.tile(((colour - 0.5) / SH_C0).astype(np.float32), (count, 1, 1)),
-    )
-    red, green, blue = colour
-    return Surround(
-        f"photos are opaque and stand before no plain colour: {count} far splats of their mean colour,"
-        f" {red:.2f}, {green:.2f}, {blue:.2f}, which differs by up to {SPREAD:g} from step to step",
-        parameters,
-    )
+        return None
+    shown = [view.pixels.reshape(-1, 3) if view.mask is None else view.pixels[view.mask] for view in views]
+    means = [pixels.mean(axis=0) / 255 for pixels in shown if len(pixels)]
+    if not means:
+        return None
+    red, green, blue = (float(part) for part in np.mean(means, axis=0).round(3))
+    return red, green, blue
 
 
-@contextmanager
-def surround_drawn(parameters: Parameters, state: Mapping[str, Any], seed: Sequence[int]) -> Iterator[None]:
-    """Another colour for the surround, if there is one, as long as a photo is compared."""
-    rows = np.flatnonzero(state["sky"] == SURROUND) if "sky" in state else ()
-    if not len(rows):
-        yield
-        return
-    own = parameters.sh[rows, 0]
-    drawn = 0.5 + SH_C0 * own[0] + SPREAD * np.random.default_rng(seed).uniform(-1, 1, 3)
-    parameters.sh[rows, 0] = (np.clip(drawn, 0, 1) - 0.5) / SH_C0
-    try:
-        yield
-    finally:
-        parameters.sh[rows, 0] = own
+def surround_of_a_step(colour: Sequence[float], seed: Sequence[int]) -> np.ndarray:
+    """(3,) float64, 0 to 1: what is behind the scene for one photo, about the surround's colour."""
+    return np.clip(colour + SPREAD * np.random.default_rng(seed).uniform(-1, 1, 3), 0, 1)
 
 
 def standing_before(views: TrainViews, colour: Sequence[float]) -> TrainViews:
@@ -231,12 +164,6 @@ def flood(plain, flooded):
                 flooded[row, column] = True
                 waiting[count] = row * width + column
                 count += 1
-
-
-def _mean_colour(view: TrainView) -> np.ndarray:
-    """(3,) float64, 0 to 1: of what the mask leaves of a photo."""
-    shown = view.pixels.reshape(-1, 3) if view.mask is None else view.pixels[view.mask]
-    return shown.mean(axis=0) / 255 if len(shown) else np.full(3, 0.5)
 
 
 def _border(view: TrainView) -> np.ndarray:

@@ -23,7 +23,7 @@ from splatview.scene.captures import Capture
 from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
-from splatview.trainer.backdrop import Surround
+from splatview.trainer.backdrop import SPREAD
 from splatview.trainer.exposure import DECIDED_BY, Exposures
 from splatview.trainer.free_space import FEW_OF, LOOK_STEPS
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
@@ -320,8 +320,10 @@ def _background(capture: Capture, settings: TrainSettings) -> Effect:
         behind = (
             f"; {colour} is behind the scene, the plain colour before which they stand, and is no part of it"
         )
-    else:
+    elif settings.surround is not None:
         behind = ", and they stand before no plain colour"
+    else:
+        behind = ": black"
     if transparent and settings.alpha_weight > 0:
         behind += f"; their opacity is part of the loss, {settings.alpha_weight:g} of its mean difference"
     return Effect(
@@ -354,23 +356,20 @@ def _sky(settings: TrainSettings) -> Effect:
     )
 
 
-def with_surround_found(
-    effects: tuple[Effect, ...], surround: Surround | None, count: int
-) -> tuple[Effect, ...]:
-    """The same once it is decided whether there is a surround, of so many splats; None: in an earlier part
-    of the run."""
-    why = "as the run began" if surround is None else surround.why
-    return tuple(replace(one, on=count > 0, why=why) if one.name == SURROUND else one for one in effects)
-
-
 def _surround(settings: TrainSettings) -> Effect:
+    if settings.surround is None:
+        why = "photos say where nothing is, stand before a plain colour, or a background is asked for"
+    else:
+        colour = ", ".join(f"{part:.2f}" for part in settings.surround)
+        why = (
+            f"photos show something everywhere: their mean colour, {colour}, is behind the scene, for what"
+            f" none shows; up to {SPREAD:g} more or less of it in a step, which makes the scene opaque"
+        )
     return Effect(
         name=SURROUND,
-        on=False,
-        why="a background is asked for"
-        if settings.surround == "off"
-        else "far splats of the mean colour of opaque photos",
-        saving=Saving(what="far splats behind all others"),
+        on=settings.surround is not None,
+        why=why,
+        saving=Saving(what="three random numbers a photo"),
     )
 
 

@@ -237,12 +237,10 @@ def passing(
     *,
     most_of_one: float = MOST_OF_ONE,
     stays: np.ndarray | None = None,
-    surround: np.ndarray | None = None,
     threads: int | None = None,
 ) -> np.ndarray:
     """(N,) bool: the splats that one photo shows alone, by more than a share `most_of_one`, in front of what
-    others show. `stays` (N,) bool: splats that are none, whoever shows them; `surround` (N,) bool: such that
-    stand for what nobody shows."""
+    others show. `stays` (N,) bool: splats that are none, whoever shows them."""
     total, most, of = np.zeros(len(scene)), np.zeros(len(scene)), np.zeros(len(scene), np.int32)
     cameras = [_counted(view.camera) for view in views]
     found = contributions_and_footprints(scene, cameras, settings, threads=threads)
@@ -255,8 +253,7 @@ def passing(
     if stays is not None:
         alone &= ~stays
     parameters, workspace = parameters_of(scene), Workspace()
-    known = ~alone if surround is None else ~(alone | surround)
-    others = Parameters(*(np.ascontiguousarray(array[known]) for array in parameters))
+    others = Parameters(*(np.ascontiguousarray(array[~alone]) for array in parameters))
     colourless = replace(settings, sh_degree=0)
     wrong = np.zeros(len(scene), np.bool_)
     for row, camera in enumerate(cameras):

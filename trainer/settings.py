@@ -265,9 +265,9 @@ class TrainSettings(StrategySettings):
     backdrop: Literal["auto", "off"] = "auto"
     """Whether photos that show the background as a plain colour, connected to their border, are known to be
     empty there. See `backdrop`."""
-    surround: Literal["auto", "off"] = "auto"
-    """Whether far splats of the photos' mean colour are behind a scene of opaque photos, instead of black.
-    See `backdrop`."""
+    surround: tuple[float, float, float] | None = None
+    """Colour for what no photo shows, where photos show something everywhere: behind the scene in place of
+    the background, and in a step another one about it; None: the background. See `backdrop`."""
     model: ImageModel = field(default_factory=ImageModel)
     ssim_weight: float = SSIM_WEIGHT
     alpha_weight: float = ALPHA_WEIGHT
@@ -358,7 +358,7 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"start must be auto, points or stereo, got {self.start!r}")
         if self.sky not in ("auto", "on", "off"):
             raise ValueError(f"sky must be auto, on or off, got {self.sky!r}")
-        for name in ("backdrop", "outliers", "surround"):
+        for name in ("backdrop", "outliers"):
             if getattr(self, name) not in ("auto", "off"):
                 raise ValueError(f"{name} must be auto or off, got {getattr(self, name)!r}")
         if not self.max_aspect >= 1:
@@ -436,7 +436,7 @@ WITHOUT_WORD = {
     "backdrop": "off",
     "full_reg_loss": 0.0,
     "sky": "off",
-    "surround": "off",
+    "surround": None,
     "outliers": "off",
     "free_space": 0.0,
     "least_shown": 0.0,
@@ -464,6 +464,7 @@ def from_recorded(values: Mapping[str, Any]) -> TrainSettings:
     fields["no_growth"] = tuple(_crop(region) for region in fields["no_growth"])
     fields["cut"] = tuple(tuple(_crop(crop) for crop in crops) for crops in fields["cut"])
     fields["background"] = tuple(fields["background"])
+    fields["surround"] = fields["surround"] and tuple(fields["surround"])
     if fields["resolution"] is not None:
         fields["resolution"] = tuple((float(until), int(factor)) for until, factor in fields["resolution"])
     return TrainSettings(**fields)

@@ -17,7 +17,7 @@ from splatview.raster.compiling import available_threads
 from splatview.scene import Gaussians
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
 from splatview.scene.progress import NO_PROGRESS, Progress
-from splatview.trainer.backdrop import Surround, find_backdrop, find_surround, standing_before
+from splatview.trainer.backdrop import find_backdrop, mean_colour, standing_before
 from splatview.trainer.counters import PluginError, StepReport
 from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
@@ -51,7 +51,7 @@ from splatview.trainer.settings import (
     automatic_sh_divisor,
     automatic_steps,
 )
-from splatview.trainer.sky import find_sky, with_far
+from splatview.trainer.sky import find_sky, with_sky
 from splatview.trainer.stereo import stereo_points, thinned
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
@@ -85,11 +85,11 @@ def settings_for(
     threads = threads or available_threads()
     timed = minutes if iterations is None else None
     limit = max_splats or automatic_limit(pixels, timed, automatic_steps(photos))
-    if "background" in fields:
-        fields.setdefault("surround", "off")
-    else:
+    if "background" not in fields:
         backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
         fields["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
+        if not backdrop and capture.background is None:
+            fields.setdefault("surround", mean_colour(views.all))
     weight = automatic_regularisation(photos, views.covered(fields["background"]))
     batch = automatic_batch(timed, automatic_steps(photos), threads)
     if iterations is None:
@@ -172,14 +172,11 @@ def trainer_for(
     )
     if sky.count:
         on_note(f"{sky.count:,} far splats are the sky: {sky.evidence}")
-    surround = Surround("a background is asked for")
-    if settings.surround != "off":
-        surround = Surround("there is a sky") if sky.count else find_surround(views.all, points, extent)
-    limit = max(settings.max_splats - sky.count - surround.count, 1)
+    limit = max(settings.max_splats - sky.count, 1)
     parameters = initial_parameters(points, colours, extent, limit=limit, seed=settings.seed)
     trainer = Trainer(
         views,
-        with_far(parameters, sky.parameters or surround.parameters),
+        with_sky(parameters, sky),
         extent,
         settings,
         centre=centre,
@@ -187,7 +184,6 @@ def trainer_for(
         group=group,
         loss=loss,
         sky=sky,
-        surround=surround,
     )
     if not (capture.guessed and points is capture.points):  # random points say nothing
         trainer.nearest_depths = nearest_depths(points, views.all)

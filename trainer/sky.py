@@ -209,24 +209,23 @@ class Sky:
 
 
 TRAINED, FIXED = 1, 2
-"""In the trainer's state "sky": splats of which colours alone are trained, and such that stay as they are;
-what is above belongs to a `backdrop.Surround`, and stays too."""
+"""In the trainer's state "sky": splats of which colours alone are trained, and such that stay as they are."""
 
 
-def with_far(parameters: Parameters, far: Parameters | None) -> Parameters:
-    """The splats, of degree 0, and far ones behind them, if there are any."""
-    if far is None:
+def with_sky(parameters: Parameters, sky: Sky) -> Parameters:
+    """The splats, of degree 0, and those of the sky behind them."""
+    if sky.parameters is None:
         return parameters
-    return Parameters(*(np.concatenate(pair) for pair in zip(parameters, far, strict=True)))
+    return Parameters(*(np.concatenate(pair) for pair in zip(parameters, sky.parameters, strict=True)))
 
 
 def hold(parameters: Parameters, state: Mapping[str, Any]) -> Parameters | None:
     """What a step must leave alone of the sky's splats: a copy of their rows, the colours of those that
-    are FIXED or above. None where there are none."""
+    are FIXED. None where there are none."""
     if "sky" not in state:
         return None
     rows = np.flatnonzero(state["sky"])
-    return Parameters(*(array[rows] for array in parameters[:4]), sh=parameters.sh[state["sky"] >= FIXED])
+    return Parameters(*(array[rows] for array in parameters[:4]), sh=parameters.sh[state["sky"] == FIXED])
 
 
 def restore(parameters: Parameters, state: Mapping[str, Any], held: Parameters | None) -> None:
@@ -236,13 +235,7 @@ def restore(parameters: Parameters, state: Mapping[str, Any], held: Parameters |
     rows = np.flatnonzero(state["sky"])
     for array, values in zip(parameters[:4], held[:4], strict=True):
         array[rows] = values
-    parameters.sh[state["sky"] >= FIXED] = held.sh
-
-
-def shows_scene(pieces: Sequence[np.ndarray], state: Mapping[str, Any]) -> bool:
-    """Whether indices of splats that a photo shows are of others than the sky's."""
-    far = state.get("sky")
-    return any(len(piece) if far is None else (far[piece] == 0).any() for piece in pieces)
+    parameters.sh[state["sky"] == FIXED] = held.sh
 
 
 NO_SKY = Sky("off", SkyEvidence(0.0, why_not="as asked for"), None)

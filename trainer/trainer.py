@@ -17,7 +17,7 @@ from splatview.raster.frame import StageClock
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import Crop, cropped_in
 from splatview.trainer.adam import SelectiveAdam
-from splatview.trainer.backdrop import SURROUND, Surround, surround_drawn
+from splatview.trainer.backdrop import surround_of_a_step
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
@@ -37,7 +37,7 @@ from splatview.trainer.outliers import Outliers
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
 from splatview.trainer.progressive import ProgressiveResolution, mean_difference
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.sky import Sky, hold, restore, shows_scene
+from splatview.trainer.sky import Sky, hold, restore
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
 from splatview.trainer.strategies.mcmc import need_of_reg
@@ -45,7 +45,7 @@ from splatview.trainer.strategies.ops import keep, raise_sh_degree
 from splatview.trainer.views import TrainView, TrainViews
 from splatview.trainer.withheld import GIVEN_BACK, SETTLED, Withheld
 
-KEPT = ("seed", "strategy", "background", "model", "exposure", "outliers", "withheld")
+KEPT = ("seed", "strategy", "background", "surround", "model", "exposure", "outliers", "withheld")
 """Settings that a run keeps from its first step to its last."""
 
 LOSS_SHARE = 0.01
@@ -77,12 +77,11 @@ class Trainer:
         group: Group | None = None,
         loss: LossPlugin | None = None,
         sky: Sky | None = None,
-        surround: Surround | None = None,
     ) -> None:
         """`centre` (3,) float64: where the origin of views and parameters is in the world, see
         `Capture.centre`; snapshots, crops and regions are in the world.
         `group`: the processes that share each batch; every one of them has a trainer made alike.
-        `sky`, `surround`: what was decided about them; the splats of either are the last of `parameters`."""
+        `sky`: what was decided about it; its splats are the last of `parameters`."""
         if not 0 < extent < np.inf:
             raise ValueError(f"extent must be positive and finite, got {extent}")
         self.settings = settings
@@ -106,10 +105,8 @@ class Trainer:
         """What the strategy notes, and in "sky", where there is one, which splats are its: see `sky.hold`."""
         self.sky = sky
         """What was decided about a sky; None where nobody looked for one, as in a run that was resumed."""
-        self.surround = surround
-        for far in (sky, surround):
-            if far is not None and far.count:
-                self.state["sky"] = far.flags(len(self.splats))
+        if sky is not None and sky.count:
+            self.state["sky"] = sky.flags(len(self.splats))
         self._rows = {view.camera.name: row for row, view in enumerate(views.all)}
         self.nearest_depths = np.zeros(len(views))
         """(V,) depth at which what each photo shows begins, see `free_space`; 0 where it is not known."""
@@ -129,7 +126,7 @@ class Trainer:
         self.picture_dtype: type[np.floating] = np.float32
         """dtype of pictures and of what is differentiated through them; the scene itself is float32."""
         self.render_settings = RenderSettings(
-            model=settings.model, background=settings.background, blend="float32"
+            model=settings.model, background=settings.surround or settings.background, blend="float32"
         )
 
     @property
@@ -281,8 +278,7 @@ class Trainer:
             before = [total.copy() for total in sums]
         try:
             if settings.batch == 1:
-                with surround_drawn(self.splats.arrays, self.state, (settings.seed, first, 3)):
-                    found = self._render_and_backprop(self.views.at(first, downscale), first)
+                found = self._render_and_backprop(self.views.at(first, downscale), first)
             else:
                 found = self._batch_backward(first, downscale, sums, before)
             self._note_differences()
@@ -302,8 +298,7 @@ class Trainer:
         group, photos = self.group, self.settings.batch
         batch = BatchSum(self.splats.parameters())
         for place in range(first + group.rank, first + photos, group.size):
-            with surround_drawn(self.splats.arrays, self.state, (self.settings.seed, place, 3)):
-                info, loss = self._render_and_backprop(self.views.at(place, downscale), place)
+            info, loss = self._render_and_backprop(self.views.at(place, downscale), place)
             with self.clock.stage("batch"):
                 batch.add(info.pieces, loss)
         with self.clock.stage("batch"):
@@ -329,10 +324,15 @@ class Trainer:
                 if "sky" in self.state:
                     is_sky = torch.from_numpy(self.state["sky"] > 0)
                     logits = torch.where(is_sky, splats.opacity_logits, logits)
+        behind = None
+        if settings.surround is not None:
+            drawn = surround_of_a_step(settings.surround, (settings.seed, place, 3))
+            behind = torch.from_numpy(drawn.astype(self.picture_dtype))
         image, info = rasterize(
             *splats._replace(opacity_logits=logits),
             view.camera,
             drawn_as,
+            background=behind,
             early_stop=EARLY_STOP if drawn_as.early_stop is None else drawn_as.early_stop,
             dtype=torch.float32 if self.picture_dtype is np.float32 else torch.float64,
             by_view=self.strategy.by_view,
@@ -342,8 +342,8 @@ class Trainer:
         if self.exposures.is_on:
             with clock.stage("exposure"):
                 exposure = torch.from_numpy(self.exposures.of(view.camera.name)).requires_grad_()
-                behind = None if view.alpha is None else settings.background
-                image = expose(image, exposure, behind, self.threads)
+                cut_out = None if view.alpha is None else settings.background
+                image = expose(image, exposure, cut_out, self.threads)
         photo = torch.from_numpy(view.pixels)
         mask = None if view.mask is None else torch.from_numpy(view.mask)
         alpha = None if view.alpha is None else torch.from_numpy(view.alpha)
@@ -504,7 +504,7 @@ class Trainer:
 
     def _check_seen(self, info: Visibility) -> None:
         """Raises NothingSeen where a round of photos has shown nothing."""
-        self._unseen += math.nan if shows_scene(info.pieces, self.state) else self.settings.batch
+        self._unseen = math.nan if len(info) else self._unseen + self.settings.batch
         # Of so many in a row each photo is one: orders of the photos differ from round to round.
         if self._unseen >= 2 * len(self.views):
             raise NothingSeen(
@@ -555,7 +555,7 @@ class Trainer:
                     arrays.opacity_logits[wrong] = GONE
 
     def _drop_unseen(self, progress: float) -> None:
-        """Takes out what no photo shows when density control ends and as the run does, but far splats."""
+        """Takes out what no photo shows when density control ends, and as the run does, but for the sky's."""
         settings = self.settings
         ended = progress >= settings.refine_until
         if self.done or (ended and not self.state.get("unseen_dropped")):
@@ -567,7 +567,8 @@ class Trainer:
                 least_visibility=settings.least_visibility,
                 threads=self.threads,
             )
-            kept |= self.state.get("sky", 0) > np.uint8(0)
+            if "sky" in self.state:
+                kept |= self.state["sky"] > 0
             if kept.any():
                 self._keep(kept)
         self.state["unseen_dropped"] = int(ended)
@@ -583,7 +584,6 @@ class Trainer:
                 self.render_settings,
                 most_of_one=settings.most_of_one,
                 stays=self.state["sky"] > 0 if "sky" in self.state else None,
-                surround=self.state["sky"] == SURROUND if "sky" in self.state else None,
                 threads=self.threads,
             )
             self.passed = int(wrong.sum())

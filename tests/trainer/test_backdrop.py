@@ -11,28 +11,24 @@ from PIL import Image
 
 from splatview.cli.main import main
 from splatview.raster import Parameters, Workspace, draw_frame, render
-from splatview.scene import RenderSettings
 from splatview.scene.sh import SH_C0
 from splatview.trainer.backdrop import (
     SPREAD,
-    SURROUND,
-    SURROUND_SPLATS,
     find_backdrop,
-    find_surround,
+    mean_colour,
     standing_before,
-    surround_drawn,
+    surround_of_a_step,
 )
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
-from splatview.trainer.effects import SURROUND as EFFECT
-from splatview.trainer.effects import capture_effects, with_surround_found
+from splatview.trainer.effects import SURROUND, capture_effects
 from splatview.trainer.loss import photo_loss
-from splatview.trainer.settings import TrainSettings
+from splatview.trainer.settings import TrainSettings, from_recorded, recorded
 from splatview.trainer.setup import kernel_threads_only
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews, train_views
 
 from .conftest import EXTENT
-from .test_sky import LEVEL, capture_of, indoors, outdoors, trainer_of
+from .test_sky import LEVEL, capture_of, indoors, trainer_of
 
 
 def painted(views: list[TrainView], photo: np.ndarray) -> list[TrainView]:
@@ -186,100 +182,78 @@ def test_another_colour_can_be_asked_for(capture_folder: Path, tmp_path: Path) -
     assert held_out[0, 0].tolist() == [255, 128, 0]
 
 
-def test_opaque_photos_without_a_sky_have_a_surround_of_their_mean_colour() -> None:
-    capture = capture_of(indoors)
-    views = train_views(capture.train)
-    surround = find_surround(views, capture.points, capture.scene_radius)
-    assert surround.parameters is not None and surround.count == SURROUND_SPLATS
+def test_the_mean_colour_is_that_of_what_photos_show() -> None:
+    views = train_views(capture_of(indoors).train)
     mean = np.mean([view.pixels.reshape(-1, 3).mean(axis=0) for view in views], axis=0) / 255
-    for view in views[::3]:
-        picture = draw_frame(surround.parameters, view.camera, RenderSettings(), Workspace()).image
-        assert picture[..., 3].min() > 0.99
-        np.testing.assert_allclose(picture[..., :3], np.broadcast_to(mean, (48, 64, 3)), atol=0.01)
-    trainer = trainer_of(capture)
-    assert np.count_nonzero(trainer.state["sky"] == SURROUND) == SURROUND_SPLATS
+    np.testing.assert_allclose(np.array(mean_colour(views)), mean, atol=1e-3)
+    mask = np.zeros(views[0].pixels.shape[:2], np.bool_)
+    assert mean_colour([replace(view, mask=mask) for view in views]) is None
+    mask[:10] = True
+    above = np.mean([view.pixels[:10].reshape(-1, 3).mean(axis=0) for view in views], axis=0) / 255
+    np.testing.assert_allclose(
+        np.array(mean_colour([replace(view, mask=mask) for view in views])), above, atol=1e-3
+    )
+    assert mean_colour(train_views(capture_of(indoors, alpha=True).train)) is None
 
 
-def test_what_is_empty_black_as_asked_or_behind_a_sky_has_none(views: list[TrainView]) -> None:
-    transparent = find_surround(train_views(capture_of(indoors, alpha=True).train), np.zeros((0, 3)), 1.0)
-    assert transparent.count == 0 and "where nothing is" in transparent.why
+def test_what_is_empty_or_has_a_background_has_no_surround() -> None:
+    room = trainer_of(capture_of(indoors))
+    assert room.settings.surround is not None and room.settings.background == (0, 0, 0)
+    assert room.render_settings.background == room.settings.surround
     asked = trainer_of(capture_of(indoors), background=(0.0, 0.0, 0.0))
-    assert "sky" not in asked.state and asked.surround is not None and "asked for" in asked.surround.why
-    sky = trainer_of(capture_of(outdoors))
-    assert not (sky.state["sky"] == SURROUND).any() and sky.surround is not None
-    assert sky.surround.why == "there is a sky"
+    assert asked.settings.surround is None and asked.render_settings.background == (0, 0, 0)
+    assert trainer_of(capture_of(indoors, alpha=True)).settings.surround is None
+    for trainer in (room, asked):
+        effects = capture_effects(capture_of(indoors), trainer.settings, "auto")
+        effect = next(one for one in effects if one.name == SURROUND)
+        assert effect.on is (trainer is room)
+        assert ("mean colour" if effect.on else "background is asked for") in effect.why
 
 
-def test_the_report_says_what_the_surround_is() -> None:
-    for capture, on, why in (
-        (capture_of(indoors), True, "300 far splats of their mean colour"),
-        (capture_of(outdoors), False, "there is a sky"),
-    ):
-        trainer = trainer_of(capture)
-        count = int(np.count_nonzero(trainer.state["sky"] == SURROUND))
-        effects = with_surround_found(
-            capture_effects(capture, trainer.settings, "auto"), trainer.surround, count
-        )
-        effect = next(one for one in effects if one.name == EFFECT)
-        assert effect.on is on and why in effect.why
+def test_each_photo_has_its_own_colour_about_the_surrounds() -> None:
+    mean = (0.5, 0.9, 0.0)
+    drawn = np.array([surround_of_a_step(mean, (0, place)) for place in range(400)])
+    assert drawn.min() == 0 and drawn.max() == 1
+    assert np.abs(drawn - mean).max() <= SPREAD < np.abs(drawn[:, 0] - 0.5).max() + 0.02
+    assert abs(drawn[:, 0].mean() - 0.5) < 0.03
+    assert (surround_of_a_step(mean, (0, 7)) == drawn[7]).all() and len(np.unique(drawn[:, 0])) == 400
 
 
-def test_the_surround_has_another_colour_for_each_photo_and_its_own_after() -> None:
-    trainer = trainer_of(capture_of(indoors))
-    rows = np.flatnonzero(trainer.state["sky"] == SURROUND)
-    sh = trainer.splats.arrays.sh
-    own, seen = sh[rows].copy(), []
-    for place in range(20):
-        with surround_drawn(trainer.splats.arrays, trainer.state, (0, place)):
-            seen.append(sh[rows, 0] - own[:, 0])
-            assert (seen[-1] == seen[-1][0]).all()
-        assert (sh[rows] == own).all()
-    away = SH_C0 * np.array([one[0] for one in seen])
-    assert SPREAD / 2 < np.abs(away).max() <= SPREAD + 1e-6
-    with pytest.raises(RuntimeError), surround_drawn(trainer.splats.arrays, trainer.state, (0, 0)):
-        raise RuntimeError
-    assert (sh[rows] == own).all()
-
-
-@pytest.mark.parametrize("strategy", ["mcmc", "classic"])
-def test_training_before_a_surround_makes_the_scene_opaque(strategy: str) -> None:
+def test_training_before_a_surround_makes_the_scene_opaque() -> None:
     """In front of black, bright splats that are half transparent are as good as dark ones."""
-    shown, capture = {}, capture_of(indoors)
+    shown, capture = [], capture_of(indoors)
     rays = np.random.default_rng(0).normal(size=(1500, 3))
     walls = rays * (np.array([6.0, 4.0, 6.0]) / np.abs(rays)).min(axis=1)[:, None]
     walls[:, 1] = np.minimum(walls[:, 1], LEVEL)
     colours = indoors(np.zeros(3), rays / np.linalg.norm(rays, axis=1, keepdims=True))
     capture = replace(capture, points=walls, point_colours=(np.clip(colours, 0, 1) * 255).astype(np.uint8))
-    for surround in ("auto", "off"):
-        trainer = trainer_of(capture, surround=surround, strategy=strategy, iterations=300)
-        before = trainer.splats.snapshot(comments=())
-        of_before = trainer.state.get("sky", np.zeros(len(trainer.splats), np.uint8)) == SURROUND
+    for fields in ({"surround": None}, {}):
+        trainer = trainer_of(capture, iterations=300, **fields)
         with kernel_threads_only():
             while not trainer.done:
                 trainer.step()
-        after = trainer.splats.snapshot(comments=())
-        of_after = trainer.state.get("sky", np.zeros(len(after), np.uint8)) == SURROUND
-        for name in ("means", "quats", "log_scales", "opacity_logits"):
-            assert np.array_equal(getattr(after, name)[of_after], getattr(before, name)[of_before])
-        assert np.array_equal(after.sh[of_after, 0], before.sh[of_before, 0])
-        scene = Parameters(*(array[~of_after] for array in trainer.splats.arrays))
         pictures = [
-            draw_frame(scene, view.camera, trainer.render_settings, Workspace()).image
+            draw_frame(trainer.splats.arrays, view.camera, trainer.render_settings, Workspace()).image
             for view in trainer.views.all
         ]
-        shown[surround] = np.mean([picture[..., 3].mean() for picture in pictures])
-    if strategy == "mcmc":  # so short a run by the other one ends soon after opacities were reset
-        assert shown["auto"] > shown["off"] + 0.015
+        shown.append(np.mean([picture[..., 3].mean() for picture in pictures]))
+    assert shown[1] > shown[0] + 0.015
 
 
-def test_a_resumed_run_knows_its_surround(tmp_path: Path) -> None:
+def test_a_resumed_run_goes_on_before_its_surround(tmp_path: Path) -> None:
     trainer = trainer_of(capture_of(indoors))
     trainer.step()
     save_checkpoint(trainer, tmp_path / "run.safetensors")
     checkpoint = load_checkpoint(tmp_path / "run.safetensors")
+    assert checkpoint.settings.surround == trainer.settings.surround
     again = Trainer(trainer.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings)
     restore(again, checkpoint)
     for one in (trainer, again):
         one.step()
     for ours, theirs in zip(again.splats.arrays, trainer.splats.arrays, strict=True):
         assert np.array_equal(ours, theirs)
+    values = recorded(trainer.settings)
+    del values["surround"]  # as checkpoints from before there was one
+    assert from_recorded(values).surround is None
+    with pytest.raises(ValueError, match="surround"):
+        trainer.change(surround=None)

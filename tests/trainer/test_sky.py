@@ -194,7 +194,7 @@ def test_the_sky_is_as_fine_as_its_share_of_the_splats_allows(open_air: Capture)
 
 def test_off_and_no_sky_start_with_the_same_bytes(open_air: Capture) -> None:
     for capture, fields in ((open_air, {"sky": "off"}), (capture_of(indoors), {})):
-        trainer = trainer_of(capture, surround="off", **fields)
+        trainer = trainer_of(capture, **fields)
         plain = initial_parameters(
             capture.points, capture.point_colours, capture.scene_radius, limit=6000, seed=0
         )

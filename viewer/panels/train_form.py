@@ -266,7 +266,7 @@ def _choices(app: AppState, state: TrainingStart) -> None:
         form.background,
         list(BACKGROUNDS),
         "What is behind the scene, and under transparent photos. By the photos: a plain colour before which"
-        " they stand needs no splats; else far splats of their mean colour stand for what none shows.",
+        " they stand, which needs no splats; the mean colour of others, for what none shows; else black.",
         ("By the photos", "Black", "White"),
     )
     if background is not None:
