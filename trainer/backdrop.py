@@ -14,7 +14,10 @@ Over black `playbot RGBA 100` scores 34.3 and 38.2 dB without and with that, `tr
 black, 36.9 and 40.1; over grey 38.4 without (38.6 where photos say what is transparent). No number here
 was chosen on them.
 
-SURROUND_DOC
+Photos that show something everywhere were compared before black, where a bright splat that is half
+transparent is as good as a dark one that is not: of what photos of `beach` show 32 % had an opacity below
+0.7, and from any other place something else shone through. A colour that differs from step to step leaves
+nothing to gain by holes. It does so about the photos' mean colour, which then stands for what no photo shows.
 """
 
 from __future__ import annotations
@@ -50,7 +53,16 @@ MOST_PHOTOS = 60
 """Photos that are looked at, spread over all."""
 
 SPREAD = 0.3
-"""SPREAD_DOC"""
+"""Of 1, by which a channel differs from the mean in a step at most. Three splits after a minute,
+held-out photos after fits of exposure, what is gained over black: 0, always the mean, 0.15, 0.3, 0.5 and
+any colour at all. `miku 12 far` +0.38, +0.88, +0.97, -0.10, +0.55 dB; 0, 0.3 and any colour: `kermit` -0.26,
++0.59, -0.29, `toy` +0.62, +0.36, +0.18, `bust` -0.60, -0.35, -1.19, and `beach` after three minutes +0.31,
++0.66, +0.56. With 0 a fourth of what the photos of `beach` show are holes still, with 0.3 none.
+
+Dropped: the mean colour as 300 far splats, so that it is in every file. Held-out photos score as with it
+behind the scene, but over each pixel that is empty some twenty of them lie: a frame of 19,500 splats that
+fills a half of 1280x720 took `cpu` 37 ms in place of 15. Before black a scene so trained scores 0.1 to 0.5 dB
+less than before its colour (`toy`, `miku 12 far`)."""
 
 
 class Backdrop(NamedTuple):

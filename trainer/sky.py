@@ -23,9 +23,8 @@ held-out photos as they are). The answer changes for no other capture of the ben
 found: points in clouds and behind houses lie before it, and photos walk into the view.
 
 Dropped: far splats for what no photo shows of a room, too (`--sky on`). A minute, three splits each, held-out
-photos as they are and after fits of exposure: `miku 12 far` -0.82 and -0.13 dB, `kermit` -0.73 and -0.05. The
-photos' mean colour behind the scene in place of black: -0.18 and +0.43, +0.11 and +0.71, but `miku 12 near`
--0.35 and -0.25, `banana` -0.25 and -0.07 (one split).
+photos as they are and after fits of exposure: `miku 12 far` -0.82 and -0.13 dB, `kermit` -0.73 and -0.05.
+What stands for it is one colour, see `backdrop`.
 
 Density control, regularisers and dropout leave these splats alone (`hold`): a regulariser of scales would
 shrink a splat that is a hundred radii large before it did anything else, and noise, which grows with the
