@@ -323,7 +323,7 @@ def _background(capture: Capture, settings: TrainSettings) -> Effect:
     elif settings.surround is not None:
         behind = ", and they stand before no plain colour"
     else:
-        behind = ": black"
+        behind = "; black is behind the scene"
     if transparent and settings.alpha_weight > 0:
         behind += f"; their opacity is part of the loss, {settings.alpha_weight:g} of its mean difference"
     return Effect(

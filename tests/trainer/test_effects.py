@@ -91,7 +91,7 @@ def test_each_effect_names_its_evidence():
     plain = told(capture([2.0] * 4))
     assert plain["masks"] == (False, "0 of 4 photos have a mask")
     assert plain["lens distortion"] == (False, "all 4 cameras are pinholes")
-    assert plain["background"] == (False, "0 of 4 photos have transparency: black")
+    assert plain["background"] == (False, "0 of 4 photos have transparency; black is behind the scene")
     assert not plain[SURROUND][0] and "a background is asked for" in plain[SURROUND][1]
     assert not plain["exposure of each photo"][0]
     assert plain["SH bands"][1].startswith("band 1 from 3%, 2 from 7%, 3 from 10%")
