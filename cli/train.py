@@ -362,7 +362,7 @@ def make_parser() -> Parser:
         metavar="BACK",
         help="what is behind the scene and under transparent photos: auto or r,g,b, 0 to 1 each (default:"
         " auto: the plain colour before which photos stand, where they do, black under transparent ones, and"
-        " the mean colour of all others)",
+        " the mean colour of all others, where few show each place)",
     )
     group.add_argument(
         "--antialiased",

@@ -144,7 +144,8 @@ def rungs_with_effect(
     baseline = make_trainer(capture, BASELINE, minutes, 0)
     present = {
         "a sky": baseline.sky is not None and baseline.sky.count > 0,
-        "photos that show something everywhere": baseline.settings.surround is not None,
+        "photos that show something everywhere, few of them each place": baseline.settings.surround
+        is not None,
         "transparent photos": any(one.alpha is not None and one.alpha_known for one in baseline.views.all),
         "a plain backdrop": any(one.alpha is not None and not one.alpha_known for one in baseline.views.all),
         "points that photos show": bool((baseline.nearest_depths > 0).any()),

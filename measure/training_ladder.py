@@ -65,7 +65,9 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
         not_known_as_empty={"backdrop": "off"},
     ),
     *_rungs("sky", "a sky", off={"sky": "off"}),
-    *_rungs("surround", "photos that show something everywhere", black={"surround": None}),
+    *_rungs(
+        "surround", "photos that show something everywhere, few of them each place", black={"surround": None}
+    ),
     *_rungs("free space", "points that photos show", off={"free_space": 0.0}),
     *_rungs("size of splats", any={"max_size": math.inf}),
     *_rungs("unseen splats", stay={"least_shown": 0.0, "least_visibility": 0.0}),

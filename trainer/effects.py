@@ -23,7 +23,7 @@ from splatview.scene.captures import Capture
 from splatview.scene.captures.capture import LEAST_DISPLACEMENT
 from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
-from splatview.trainer.backdrop import SPREAD
+from splatview.trainer.backdrop import ENOUGH_PHOTOS, SPREAD
 from splatview.trainer.exposure import DECIDED_BY, Exposures
 from splatview.trainer.free_space import FEW_OF, LOOK_STEPS
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
@@ -358,7 +358,10 @@ def _sky(settings: TrainSettings) -> Effect:
 
 def _surround(settings: TrainSettings) -> Effect:
     if settings.surround is None:
-        why = "photos say where nothing is, stand before a plain colour, or a background is asked for"
+        why = (
+            "photos say where nothing is, stand before a plain colour, a background is asked for, or"
+            f" {ENOUGH_PHOTOS} and more show each place"
+        )
     else:
         colour = ", ".join(f"{part:.2f}" for part in settings.surround)
         why = (

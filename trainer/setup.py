@@ -17,7 +17,7 @@ from splatview.raster.compiling import available_threads
 from splatview.scene import Gaussians
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
 from splatview.scene.progress import NO_PROGRESS, Progress
-from splatview.trainer.backdrop import find_backdrop, mean_colour, standing_before
+from splatview.trainer.backdrop import automatic_surround, find_backdrop, standing_before
 from splatview.trainer.counters import PluginError, StepReport
 from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
@@ -84,12 +84,13 @@ def settings_for(
     photos, pixels = len(views), views.pixel_count
     threads = threads or available_threads()
     timed = minutes if iterations is None else None
+    shown = views.photos_of_a_place(capture.points)
     limit = max_splats or automatic_limit(pixels, timed, automatic_steps(photos))
     if "background" not in fields:
         backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
         fields["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
         if not backdrop and capture.background is None:
-            fields.setdefault("surround", mean_colour(views.all))
+            fields.setdefault("surround", automatic_surround(views.all, shown))
     weight = automatic_regularisation(photos, views.covered(fields["background"]))
     batch = automatic_batch(timed, automatic_steps(photos), threads)
     if iterations is None:
@@ -102,7 +103,7 @@ def settings_for(
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "max_aspect": automatic_max_aspect(photos),
-        "sh_divisor": automatic_sh_divisor(views.photos_of_a_place(capture.points), steps),
+        "sh_divisor": automatic_sh_divisor(shown, steps),
         "model": model_for(capture, antialiased),
         "resolution": automatic_levels(
             [(view.camera.width, view.camera.height) for view in views.all],

@@ -13,7 +13,9 @@ from splatview.cli.main import main
 from splatview.raster import Parameters, Workspace, draw_frame, render
 from splatview.scene.sh import SH_C0
 from splatview.trainer.backdrop import (
+    ENOUGH_PHOTOS,
     SPREAD,
+    automatic_surround,
     find_backdrop,
     mean_colour,
     standing_before,
@@ -208,6 +210,19 @@ def test_what_is_empty_or_has_a_background_has_no_surround() -> None:
         effect = next(one for one in effects if one.name == SURROUND)
         assert effect.on is (trainer is room)
         assert ("mean colour" if effect.on else "background is asked for") in effect.why
+
+
+def test_what_many_photos_show_has_no_surround() -> None:
+    capture = capture_of(indoors)
+    views = train_views(capture.train)
+    assert automatic_surround(views, ENOUGH_PHOTOS - 0.5) == mean_colour(views) is not None
+    assert automatic_surround(views, ENOUGH_PHOTOS) is None
+    many = replace(capture, photos=tuple(p for p in capture.photos for _ in range(ENOUGH_PHOTOS)))
+    settings = trainer_of(many).settings
+    assert settings.surround is None and settings.background == (0, 0, 0)
+    effects = capture_effects(many, settings, "auto")
+    assert f"{ENOUGH_PHOTOS} and more show each place" in next(e for e in effects if e.name == SURROUND).why
+    assert trainer_of(many, surround=(0.5, 0.4, 0.3)).settings.surround == (0.5, 0.4, 0.3)
 
 
 def test_each_photo_has_its_own_colour_about_the_surrounds() -> None:

@@ -250,8 +250,11 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     ctx.combo_click("##Outliers/Trained on")
     ctx.combo_click("##Passing by/Stays")
     ctx.combo_click("##Sky/Always added")
-    ctx.combo_click("##Background/White")
-    hand.frames(3)
+    found["backgrounds"] = []
+    for name in ("Black", "By the photos", "White"):
+        ctx.combo_click(f"##Background/{name}")
+        hand.frames(3)
+        found["backgrounds"].append(state.form.background)
     form = state.form
     found["chosen"] = [form.exposure, form.outliers, form.passing, form.sky, form.background]
     shoot(hand, "train_form")

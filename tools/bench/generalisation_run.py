@@ -56,6 +56,25 @@ def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> f
     return float(np.mean(found))
 
 
+HOLE = 0.7
+"""Opacity below which what a photo shows is a hole."""
+
+
+def holes(views: Any, parameters: Any, settings: Any) -> float | None:
+    """Share of what the photos trained on show through which something else shines, were it behind; of up to
+    twelve photos. None where they are transparent."""
+    from splatview.raster import Workspace, draw_frame
+
+    found = []
+    if any(view.alpha is not None for view in views):
+        return None
+    for view in views[:: -(-len(views) // 12)]:
+        drawn = draw_frame(parameters, view.camera, settings, Workspace()).image[..., 3]
+        shown = drawn if view.mask is None else drawn[view.mask]
+        found.append(float((shown < HOLE).mean()) if shown.size else 0.0)
+    return float(np.mean(found))
+
+
 def sky_errors(
     name: str, made: Path, held_out: Any, trained: Any, scene: Any, settings: Any, pictures: Path | None
 ) -> dict[str, float]:
@@ -217,6 +236,7 @@ def main() -> None:
         "psnr_fitted": fitted.psnr,
         "ssim": final.ssim,
         "haze": haze(options.name, options.made, held_out, trainer.splats.arrays, trainer.render_settings),
+        "holes": holes(views.all, trainer.splats.arrays, trainer.render_settings),
         "iteration": trainer.counters.iteration,
         "gaussians": len(trainer.splats),
         "batch": getattr(settings, "batch", 1),
