@@ -191,7 +191,7 @@ def watched(ready: Run, thread: BackgroundTraining) -> LiveTraining:
         thread=thread,
         name=ready.name,
         photos=watched_photos(ready.trainer.views.all, ready.held_out, ready.trainer.centre),
-        settings=ready.trainer.render_settings,
+        settings=ready.trainer.shown_settings,
         memory=ready.memory,
     )
 

@@ -190,7 +190,7 @@ def train_rung(
                     evaluate(
                         trainer.splats.arrays,
                         held_out,
-                        trainer.render_settings,
+                        trainer.shown_settings,
                         threads=trainer.threads,
                         exposures_differ=fitted,
                     ).psnr

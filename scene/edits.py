@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from splatview.scene.gaussians import Gaussians
+from splatview.scene.gaussians import SAYS_NEAR, Gaussians
 from splatview.scene.projection import rotation_matrices, sigmoid
 from splatview.scene.sh import SH_C0, sh_rotation
 
@@ -366,9 +366,11 @@ def bake(gaussians: Gaussians, edits: SceneEdits, *, hidden: bool = False) -> Ga
         at = np.flatnonzero(entries == entry)
         with np.errstate(invalid="ignore", over="ignore"):
             _adjust(adjustment, at, means, quats, log_scales, opacity_logits, sh)
-    return replace(
-        scene, means=means, quats=quats, log_scales=log_scales, opacity_logits=opacity_logits, sh=sh
-    )
+    comments = scene.comments
+    if any(edits.palette[entry].scale != 1 for entry in np.unique(entries)):
+        comments = tuple(one for one in comments if not SAYS_NEAR.match(one))  # of another scale
+    arrays = {"means": means, "quats": quats, "log_scales": log_scales, "opacity_logits": opacity_logits}
+    return replace(scene, **arrays, sh=sh, comments=comments)
 
 
 def _adjust(

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+
+from splatview.scene.image_model import NEAR
 
 NOTE = "splatview: "
 """What comments begin with that say how a file was read, and are not the file's own."""
@@ -16,6 +20,22 @@ SH_COEFFICIENTS = (1, 4, 9, 16)
 
 ARRAYS = ("means", "quats", "log_scales", "opacity_logits", "sh")
 """Fields of `Gaussians` with a row per splat."""
+
+
+NEAR_TAG = "near plane"
+"""A tag of ours: what a comment begins with that says how far before a camera nothing is, in scene units."""
+
+SAYS_NEAR = re.compile(rf"\s*{NEAR_TAG}\s*[:=]?\s*([0-9][0-9.eE+-]*)\s*$", re.IGNORECASE)
+
+
+def near_plane(comments: tuple[str, ...]) -> float:
+    """The near plane that the file asks for: of several, as of scenes that were put together, the least; the
+    image model's where there is none that makes sense."""
+    found = []
+    for said in filter(None, map(SAYS_NEAR.match, comments)):
+        with contextlib.suppress(ValueError):
+            found.append(float(said[1]))
+    return max(min((near for near in found if 0 < near < math.inf), default=NEAR), NEAR)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

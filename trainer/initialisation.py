@@ -17,7 +17,8 @@ import numpy as np
 from splatview.edit.kernels.kdtree import nearest
 from splatview.raster import Parameters
 from splatview.scene import ImageModel, InputError
-from splatview.scene.image_model import BLUR
+from splatview.scene.gaussians import NEAR_TAG
+from splatview.scene.image_model import BLUR, NEAR
 from splatview.scene.sh import SH_C0
 
 
@@ -81,7 +82,8 @@ def initial_parameters(
 
 
 def comments_for(model: ImageModel) -> tuple[str, ...]:
-    """The tags that `scene.effects.antialiasing` and other viewers understand; none for the usual model."""
+    """The tags by which `scene.effects`, and other viewers, know it again; none for the usual model."""
+    tags = () if model.near == NEAR else (f"{NEAR_TAG} {model.near:.6g}",)
     if not model.antialiased:
-        return ()
-    return ("antialiased 1",) if model.blur == BLUR else ("SplatRenderMode: mip",)
+        return tags
+    return ("antialiased 1" if model.blur == BLUR else "SplatRenderMode: mip", *tags)

@@ -328,7 +328,7 @@ class TrainingRun:
         return pictures(
             trainer.splats.arrays,
             views,
-            trainer.render_settings,
+            trainer.shown_settings,
             threads=trainer.threads,
             exposures_differ=trainer.exposures.is_on,
         )

@@ -228,8 +228,8 @@ def automatic_steps(photos: int) -> int | None:
     Dropped: two thirds of them where photos are fewest, too. 400 steps per photo and 600, three splits each:
     `kermit` 17.24 and 18.08 dB, `toy` 20.91 and 21.15, `bust` 19.21 and 19.00.
 
-    Dropped: half as many more, 900 per photo with as many splats, where photos have a surround: `banana` 27.45
-    and 25.31 dB in place of 27.18 and 25.38, with less SSIM (0.746, 0.713; 0.752, 0.730).
+    Dropped: half as many more, 900 per photo with as many splats, where photos have a surround: `banana`
+    27.45 and 25.31 dB in place of 27.18 and 25.38, with less SSIM (0.746, 0.713; 0.752, 0.730).
 
     Dropped: by how many photos show a place, half the steps where these are fewer than six, and one splat
     for 30 pixels. `beach` (4 of 12) has 18.24 and 18.36 dB in place of 17.26 and 17.90, but `demo hard 40`

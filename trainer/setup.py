@@ -285,7 +285,7 @@ def train(
         evaluation = evaluate(
             trainer.splats.arrays,
             held_out,
-            trainer.render_settings,
+            trainer.shown_settings,
             threads=threads,
             exposures_differ=trainer.exposures.is_on,
         )

@@ -27,6 +27,7 @@ from splatview.trainer.free_space import (
     LOOK_STEPS,
     limit_sizes,
     passing,
+    past_free_space,
     shown_by_few,
     standing_before,
     worth_keeping,
@@ -136,6 +137,11 @@ class Trainer:
         return self.settings.progress(counters.iteration, counters.seconds, counters.prepared)
 
     @property
+    def shown_settings(self) -> RenderSettings:
+        """Those that other cameras than the photos' show the scene by, see `free_space`."""
+        return past_free_space(self.render_settings, self.settings.free_space * self.nearest_depths)
+
+    @property
     def downscale(self) -> int:
         """The factor by which photos are smaller in the next step."""
         progress, schedule = self.progress, self.settings.resolution
@@ -216,7 +222,7 @@ class Trainer:
     def snapshot(self) -> Gaussians:
         """A copy of the scene as it stands, in the world, which later steps leave alone. Positions about a
         centre are float64."""
-        comments = ("Trained by splatview", *comments_for(self.settings.model))
+        comments = ("Trained by splatview", *comments_for(self.shown_settings.model))
         scene = self.splats.snapshot(comments=comments)
         return replace(scene, means=scene.means + self.centre) if self.centre.any() else scene
 
@@ -457,17 +463,8 @@ class Trainer:
         elif withheld.is_due(self.counters.iteration * settings.batch, settings.batch):
             with self.clock.stage("withheld"):
                 exposure_of = self.exposures.of if self.exposures.is_on else None
-                error = np.array(
-                    [
-                        withheld.error(
-                            self.splats.arrays,
-                            self.views.all,
-                            self.render_settings,
-                            exposure_of,
-                            self.threads,
-                        )
-                    ]
-                )
+                scene = self.splats.arrays, self.views.all, self.render_settings
+                error = np.array([withheld.error(*scene, exposure_of, self.threads)])
             self.group.add_up([error])  # processes must agree
             factor = self.downscale
             if withheld.teaches(float(error[0]) / self.group.size, factor):

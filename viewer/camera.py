@@ -141,7 +141,7 @@ def focus_at(app: AppState, x: float, y: float) -> None:
     """Turns about the surface at (x, y) px of the visible area; without one there, nothing happens."""
     if not app.is_open:
         return
-    found = pick(app.scene.gaussians, app.camera, app.settings, x, y, edits=app.edits)
+    found = pick(app.scene.gaussians, app.camera, app.seen_settings, x, y, edits=app.edits)
     if found is None:
         app.tell("Nothing to turn about there: the pixel shows the background")
         return

@@ -138,7 +138,7 @@ def focus_on(app: AppState, x: float, y: float) -> None:
     lens.picking = False
     if not app.is_open:
         return
-    found = pick(app.scene.gaussians, app.camera, app.settings, x, y, edits=app.edits)
+    found = pick(app.scene.gaussians, app.camera, app.seen_settings, x, y, edits=app.edits)
     if found is None:
         app.tell("Nothing to focus on there: the pixel shows the background")
         return

@@ -49,7 +49,7 @@ def save_picture(app: AppState, camera: Camera, path: Path) -> None:
         picture, aperture = app.picture, app.feature(DepthOfField).aperture(app)
 
         def read(camera: Camera) -> np.ndarray:
-            return picture.read(FrameRequest(None, camera, app.settings, mode=app.mode, edits=edits))
+            return picture.read(FrameRequest(None, camera, app.seen_settings, mode=app.mode, edits=edits))
 
         if aperture is None or not is_pinhole(camera):
             image = read(camera)

@@ -24,6 +24,7 @@ from splatview.scene.edits import SceneEdits
 from splatview.scene.effects.overrides import followed
 from splatview.scene.errors import printable
 from splatview.scene.formats.io import resident_memory
+from splatview.scene.image_model import NEAR
 from splatview.viewer.loading import EMPTY_SCENE, Examination, LoadedScene, Loading, Reading
 from splatview.viewer.navigation import Transition, View
 from splatview.viewer.navigation.view import look_from
@@ -260,6 +261,15 @@ class AppState:
         else:
             self.transition = None
             self.view = view
+
+    @property
+    def seen_settings(self) -> RenderSettings:
+        """`settings`; a near plane that the scene calls for is half-way to the target at most: what the user
+        goes up to stays. One that the user has set, to look inside, stands."""
+        model, most = self.settings.model, max(self.view.distance / 2, NEAR)
+        if model.near != self.called_for.model.near or not model.near > most:
+            return self.settings
+        return replace(self.settings, model=replace(model, near=most))
 
     @property
     def destination(self) -> View:

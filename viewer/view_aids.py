@@ -80,7 +80,7 @@ class ViewAids(Feature):
             return  # the picture still shows the scene of before
         if self._splats is None:
             self._splats = SplatLayer(ctx)
-        request = FrameRequest(gaussians, app.camera, app.settings, edits=edits, highlight=app.highlight)
+        request = FrameRequest(gaussians, app.camera, app.seen_settings, edits=edits, highlight=app.highlight)
         self._splats.draw(request, centres=self.centres, rings=self.rings, seconds=SECONDS)
         tint = imgui.get_color_u32(ImVec4(1, 1, 1, SPLATS_OPACITY))
         reference = imgui.ImTextureRef(self._splats.texture.glo)

@@ -11,7 +11,7 @@ import numpy as np
 from splatview.scene.edits import Adjustment, is_graded
 from splatview.scene.effects.effect import VISIBLE, Effect, Saving, grey_levels, short
 from splatview.scene.effects.sh_bands import colour_reach
-from splatview.scene.gaussians import Gaussians
+from splatview.scene.gaussians import SAYS_NEAR, Gaussians
 from splatview.scene.health import Finding
 from splatview.scene.image_model import BLUR, DISC_BLUR, RenderSettings
 from splatview.scene.projection import sigmoid
@@ -180,8 +180,8 @@ def antialiasing(comments: tuple[str, ...]) -> tuple[bool, float, str]:
 
 
 def is_tag(comment: str) -> bool:
-    """Whether a comment says how the scene was trained, as `antialiasing` and `is_flat` read it."""
-    return any(said.match(comment) for said in (SAYS_MODE, SAYS_RASTERISER, SAYS_FLAG))
+    """Whether a comment is a tag, as `antialiasing`, `is_flat` and `near_plane` read them."""
+    return any(said.match(comment) for said in (SAYS_MODE, SAYS_RASTERISER, SAYS_FLAG, SAYS_NEAR))
 
 
 def antialiased_effect(gaussians: Gaussians) -> Effect:

@@ -17,7 +17,7 @@ from splatview.scene.effects.appearance import (
 )
 from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.sh_bands import band_name, used_sh_degree
-from splatview.scene.gaussians import Gaussians
+from splatview.scene.gaussians import Gaussians, near_plane
 from splatview.scene.image_model import ImageModel, RenderSettings
 
 Overrides = Mapping[str, bool | None]
@@ -48,7 +48,9 @@ def settings_for(
     used = min([used, *(band - 1 for band in range(1, stored + 1) if forced.get(band_name(band)) is False)])
     antialiased, blur, _ = antialiasing(gaussians.comments)
     flat = forced[FLAT] if FLAT in forced else is_flat(gaussians)
-    model = ImageModel(blur=blur).with_footprint("disc" if flat else "ellipsoid")
+    model = ImageModel(near=near_plane(gaussians.comments), blur=blur).with_footprint(
+        "disc" if flat else "ellipsoid"
+    )
     return RenderSettings(
         model=replace(model, antialiased=forced.get(ANTIALIASED, antialiased)),
         sh_degree=used if used < stored else None,
@@ -60,7 +62,9 @@ def quick_settings(gaussians: Gaussians) -> RenderSettings:
     """Settings that show the scene as those of `settings_for` do, found without looking at every splat's
     colour: all bands, and pixels that end no sooner."""
     antialiased, blur, _ = antialiasing(gaussians.comments)
-    model = ImageModel(blur=blur).with_footprint("disc" if is_flat(gaussians) else "ellipsoid")
+    model = ImageModel(near=near_plane(gaussians.comments), blur=blur).with_footprint(
+        "disc" if is_flat(gaussians) else "ellipsoid"
+    )
     return RenderSettings(
         model=replace(model, antialiased=antialiased), early_stop=quick_early_stop(gaussians)
     )
@@ -119,6 +123,7 @@ def followed(settings: RenderSettings, before: RenderSettings, after: RenderSett
     """`settings` with everything that is as a scene called for `before` as it calls for `after`."""
     near = settings.model.near
     if settings.model == replace(before.model, near=near):
+        near = after.model.near if near == before.model.near else near
         settings = replace(settings, model=replace(after.model, near=near))
     if settings.sh_degree == before.sh_degree:
         settings = replace(settings, sh_degree=after.sh_degree)

@@ -39,8 +39,8 @@ from splatview.scene.formats.sog_folder import (
 from splatview.scene.formats.sog_write import save_sog
 from splatview.scene.formats.splat import read_splat, save_splat
 from splatview.scene.formats.spz import is_record, is_spz, read_spz, save_spz
-from splatview.scene.gaussians import NOTE, Gaussians
-from splatview.scene.image_model import BLUR
+from splatview.scene.gaussians import NOTE, Gaussians, near_plane
+from splatview.scene.image_model import BLUR, NEAR
 from splatview.scene.progress import NO_PROGRESS, Cancelled, Progress
 from splatview.scene.sh import SH_C0
 
@@ -302,6 +302,8 @@ def losses(gaussians: Gaussians, path: Path) -> list[str]:
         lost.append("the tag that it was trained antialiased")
     elif antialiased and blur != BLUR and not known.comments:
         lost.append(f"the kernel of {blur:g} px² that it was trained with; readers take {BLUR:g}")
+    if near_plane(gaussians.comments) > NEAR and not known.comments:
+        lost.append("its near plane")
     if is_flat(gaussians) and not known.discs:
         lost.append("the tag that its splats are discs")
     for name, (low, high) in known.ranges.items():

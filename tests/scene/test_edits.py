@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -115,6 +117,15 @@ def test_a_turned_scene_seen_by_the_turned_camera_is_the_same_picture(degree):
     after = render(baked, cameras[1], RenderSettings())
     assert np.abs(before - after).max() <= 1e-4
     assert before[..., 3].max() > 0.5
+
+
+def test_a_scene_of_another_scale_has_no_near_plane(random_gaussians):
+    gaussians = replace(random_gaussians(6), comments=("near plane 1.5", "by hand"))
+    marks = np.zeros(6, np.uint32)
+    marks[:2] = 1 << PALETTE_SHIFT
+    for adjustment, kept in ((Adjustment(scale=0.5), 1), (Adjustment(size=0.5), 2)):
+        baked = bake(gaussians, SceneEdits(marks=marks, palette=(IDENTITY, adjustment)))
+        assert baked.comments == gaussians.comments[-kept:]
 
 
 def test_baking_leaves_untouched_splats_to_the_byte():

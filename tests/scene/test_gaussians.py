@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from splatview.scene import concatenate
+from splatview.scene.gaussians import near_plane
+from splatview.scene.image_model import NEAR
 
 
 def test_degree_length_and_bytes(random_gaussians):
@@ -59,3 +61,19 @@ def test_concatenate_pads_sh_and_keeps_what_is_shared(random_gaussians):
     assert both.comments == ("x", "y") and list(both.extras) == ["id"]
     np.testing.assert_array_equal(both.sh[:3, :4], a.sh)
     assert not both.sh[:3, 4:].any()
+
+
+@pytest.mark.parametrize(
+    "comments, near",
+    [
+        ((), NEAR),
+        (("near plane 1.5",), 1.5),
+        (("Near plane: 2e-1",), 0.2),
+        (("near plane 3", "near plane 0.75", "near plane 1e400"), 0.75),  # of scenes that were put together
+        (("near plane 0", "near plane -2", "near plane nan", "near plane 1.2.3", "near plane"), NEAR),
+        (("near plane 1e-9",), NEAR),
+        (("the near plane 4",), NEAR),
+    ],
+)
+def test_a_near_plane_that_a_file_asks_for(comments, near):
+    assert near_plane(comments) == near

@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from splatview.raster import Parameters
+from splatview.raster import Parameters, Workspace, draw_frame
+from splatview.scene import ImageModel
 from splatview.scene.effects.effect import Effect, Saving
+from splatview.scene.effects.overrides import settings_for as scene_settings
+from splatview.scene.formats import load_scene, save_scene
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import PASSING
 from splatview.trainer.free_space import (
@@ -61,6 +64,31 @@ def veiled(start: Parameters, views: list[TrainView]) -> Parameters:
     start = Parameters(*(array.copy() for array in start))
     start.means[0], start.log_scales[0], start.opacity_logits[0] = before(views[0], 0.4), -1.5, 1.0
     return start
+
+
+def test_other_cameras_see_past_what_stands_in_free_space(
+    views: list[TrainView], start: Parameters, make_trainer, tmp_path: Path
+) -> None:
+    trainer = make_trainer()
+    assert trainer.shown_settings == trainer.render_settings, "nothing is known"
+    assert trainer.snapshot().comments == ("Trained by splatview",)
+    trainer.nearest_depths[:] = [0, *np.linspace(2.0, 3.0, len(trainer.views) - 1)]
+    assert trainer.shown_settings.model.near == 1.0, "half of the least, and none is 0"
+    assert trainer.render_settings.model.near == ImageModel().near, "photos are trained on as they were"
+    save_scene(trainer.snapshot(), tmp_path / "scene.ply")
+    assert scene_settings(load_scene(tmp_path / "scene.ply")).model.near == 1.0
+
+    veil = veiled(start, views)
+    pictures = [
+        draw_frame(veil, views[0].camera, settings, Workspace()).image
+        for settings in (trainer.render_settings, trainer.shown_settings)
+    ]
+    assert np.abs(pictures[1] - pictures[0]).max() > 0.3
+    rest = Parameters(*(array[1:] for array in veil))
+    without = draw_frame(rest, views[0].camera, trainer.render_settings, Workspace()).image
+    np.testing.assert_allclose(pictures[1], without, atol=1e-6)
+    trainer.change(free_space=0.0)
+    assert trainer.shown_settings == trainer.render_settings
 
 
 @pytest.mark.parametrize("share", [0.5, 0.0])
@@ -155,6 +183,7 @@ def test_a_resumed_run_knows_where_scenes_begin(
     resumed = Trainer(trainer.views, start, 3.0, trainer.settings)
     restore(resumed, load_checkpoint(path))
     assert np.array_equal(resumed.nearest_depths, trainer.nearest_depths)
+    assert resumed.shown_settings == trainer.shown_settings != trainer.render_settings
 
 
 def test_random_points_say_nothing(views: list[TrainView], start: Parameters) -> None:

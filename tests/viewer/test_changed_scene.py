@@ -17,7 +17,7 @@ from splatview.edit.operations.cleanup import Repair
 from splatview.edit.operations.merge_split import Merge
 from splatview.edit.operations.transform import Transform
 from splatview.edit.selectors import Everything, IndexRuns
-from splatview.scene import Gaussians, RenderSettings
+from splatview.scene import Gaussians, ImageModel, RenderSettings
 from splatview.scene.edits import HIDDEN
 from splatview.scene.effects.overrides import followed, settings_for
 from splatview.scene.formats import load_scene, save_scene
@@ -240,6 +240,17 @@ def test_what_the_user_has_set_stays() -> None:
     near = replace(before, model=replace(before.model, near=1.0))
     called_for = replace(after, model=replace(after.model, antialiased=True))
     assert followed(near, before, called_for).model == replace(called_for.model, near=1.0)
+    assert followed(before, before, near).model.near == 1.0, "one that the scene calls for is not the user's"
+
+
+def test_what_the_user_goes_up_to_stays_before_the_near_plane(app, open_scene, random_gaussians) -> None:
+    open_scene(replace(random_gaussians(40), comments=("near plane 1.5",)))
+    assert app.settings.model.near == app.called_for.model.near == 1.5
+    for distance, near in ((8.0, 1.5), (2.0, 1.0), (0.001, ImageModel().near)):
+        app.view = replace(app.view, distance=distance)
+        assert app.seen_settings.model.near == pytest.approx(near)
+    app.settings = replace(app.settings, model=replace(app.settings.model, near=1.75))
+    assert app.seen_settings == app.settings, "one's own looks inside"
 
 
 def test_imported_files_are_steps_and_rows(app, open_scene, random_gaussians, tmp_path) -> None:

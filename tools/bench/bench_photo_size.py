@@ -109,7 +109,7 @@ def train(folder: Path, minutes: float, downscale: int, levels: Levels) -> dict[
     for name, factor in (("full", 1), ("half", 2)):
         held_out = train_views(read(folder, factor).about(whole.centre).held_out)
         score = evaluate(
-            *(trainer.splats.arrays, held_out, trainer.render_settings),
+            *(trainer.splats.arrays, held_out, trainer.shown_settings),
             exposures_differ=trainer.exposures.is_on,
         )
         found |= {f"{name}_psnr": score.psnr, f"{name}_ssim": score.ssim}

@@ -64,7 +64,7 @@ def whole_scene(data: Path, made: Path, centre: np.ndarray) -> tuple[Parameters,
         while not trainer.done:
             used += step_seconds(pixels / trainer.downscale**2, len(trainer.splats), settings.batch)
             trainer.step(used)
-    return trainer.splats.arrays, trainer.render_settings
+    return trainer.splats.arrays, trainer.shown_settings
 
 
 def photos_of_places(

@@ -190,11 +190,14 @@ def main() -> None:
     settings: Any = settings_for(capture, views, minutes=options.minutes, **fields)
     trainer = trainer_for(capture, views, settings, centre=centre, threads=options.threads)
 
+    def shown() -> Any:
+        return getattr(trainer, "shown_settings", trainer.render_settings)
+
     def score() -> Any:
         return evaluate(
             trainer.splats.arrays,
             held_out,
-            trainer.render_settings,
+            shown(),
             threads=options.threads,
             exposures_differ=trainer.exposures.is_on,
         )
@@ -214,17 +217,17 @@ def main() -> None:
     if options.pictures is not None:
         options.pictures.mkdir(parents=True, exist_ok=True)
         for view in held_out:
-            drawn = draw_frame(trainer.splats.arrays, view.camera, trainer.render_settings, Workspace())
+            drawn = draw_frame(trainer.splats.arrays, view.camera, shown(), Workspace())
             file = options.pictures / f"{Path(view.camera.name).stem}.png"
             side_by_side(view, drawn.image[..., :3]).save(file)
     final = score()
-    plain, fitted = (
-        evaluate(trainer.splats.arrays, held_out, trainer.render_settings, exposures_differ=by_tiles)
-        for by_tiles in (False, True)
+    (plain, fitted), without_near = (
+        [evaluate(trainer.splats.arrays, held_out, settings, exposures_differ=fit) for fit in (False, True)]
+        for settings in (shown(), trainer.render_settings)
     )
     skies = sky_errors(
         *(options.name, options.made, held_out, views.all),
-        *(trainer.splats.arrays, trainer.render_settings, options.pictures),
+        *(trainer.splats.arrays, shown(), options.pictures),
     )
     result = {
         "capture": options.name,
@@ -235,7 +238,9 @@ def main() -> None:
         "psnr_plain": plain.psnr,
         "psnr_fitted": fitted.psnr,
         "ssim": final.ssim,
-        "haze": haze(options.name, options.made, held_out, trainer.splats.arrays, trainer.render_settings),
+        "near": shown().model.near,
+        "without_near": [found.psnr for found in without_near],
+        "haze": haze(options.name, options.made, held_out, trainer.splats.arrays, shown()),
         "holes": holes(views.all, trainer.splats.arrays, trainer.render_settings),
         "iteration": trainer.counters.iteration,
         "gaussians": len(trainer.splats),

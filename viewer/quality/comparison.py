@@ -102,7 +102,8 @@ class Comparing:
             return None
         shown = app.scene.gaussians, app.camera
         exact, chosen = (
-            FrameRequest.by_plan(*shown, plan, edits=app.edits) for plan in (Plan(settings=app.settings), by)
+            FrameRequest.by_plan(*shown, plan, edits=app.edits)
+            for plan in (Plan(settings=app.seen_settings), by)
         )
         pair = exact, chosen, self.gain
         now = app.now()

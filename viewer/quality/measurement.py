@@ -186,7 +186,7 @@ class Measuring(Task[None], ABC):
         self.text = text
         self._wake = wake
         self._scene = WindowScene(app, lambda: self.cancelled, wake)
-        self._plan, self._seconds, self._rounds = Plan(settings=app.settings), seconds, rounds
+        self._plan, self._seconds, self._rounds = Plan(settings=app.seen_settings), seconds, rounds
         self.view, self._size, self._scale = app.view, app.picture_size, app.preferences.resolution_scale
         self.gaussians = self._scene.gaussians
         self.camera = scaled_camera(self.view.camera(*self._size), self._scale)

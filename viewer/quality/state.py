@@ -137,7 +137,7 @@ class Accuracy(Feature):
 
     def plan(self, app: AppState) -> Plan:
         """The settings with the shortcuts taken."""
-        plan = Plan(settings=app.settings)
+        plan = Plan(settings=app.seen_settings)
         if self.choices:
             plan = apply_choices(plan, self.choices, app.picture.backend)
         return plan
