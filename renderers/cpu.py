@@ -19,7 +19,7 @@ from splatview.renderers.request import Capabilities, FrameRequest, FrameStats, 
 from splatview.scene import Camera, Gaussians, InputError, reference
 from splatview.scene.attribute_formats import Attributes
 from splatview.scene.edits import SceneEdits, bake
-from splatview.scene.effects.overrides import settings_for
+from splatview.scene.effects.overrides import all_in_sight, settings_for
 from splatview.scene.normals import shaded_by_normals
 from splatview.scene.projection import project
 
@@ -155,7 +155,7 @@ class CpuRenderer(Renderer):
         return dominant_splats(gaussians, camera, settings_for(gaussians), edits=edits)
 
     def contributions(self, gaussians: Gaussians, cameras: Sequence[Camera], edits: SceneEdits) -> np.ndarray:
-        return contributions(gaussians, cameras, settings_for(gaussians), edits=edits)
+        return contributions(gaussians, cameras, all_in_sight(gaussians), edits=edits)
 
     def picture(self, gaussians: Gaussians, camera: Camera, edits: SceneEdits) -> np.ndarray:
         settings = settings_for(gaussians, palette=edits.palette)

@@ -24,7 +24,7 @@ from splatview.renderers.request import FrameRequest, FrameStats, Renderer
 from splatview.scene import Gaussians
 from splatview.scene.attribute_formats import Attributes, stored
 from splatview.scene.edits import HIDDEN, SceneEdits
-from splatview.scene.effects.overrides import settings_for
+from splatview.scene.effects.overrides import all_in_sight
 from splatview.scene.framing import views_around
 from splatview.scene.gaussians import concatenate
 from splatview.scene.lod import chances, levels_and_cells
@@ -570,5 +570,5 @@ def ranked_by_contribution(gaussians: Gaussians) -> np.ndarray:
     from splatview.raster.contributions import contributions
 
     cameras = sample_cameras(gaussians, SceneEdits(marks=np.zeros(len(gaussians), np.uint32)))
-    worth = contributions(gaussians, cameras, settings_for(gaussians))
+    worth = contributions(gaussians, cameras, all_in_sight(gaussians))
     return np.argsort(-np.nan_to_num(worth, nan=0.0), kind="stable")

@@ -25,8 +25,8 @@ from splatview import raster
 from splatview.edit.document import Document
 from splatview.edit.sample_views import sample_cameras
 from splatview.raster.contributions import contributions
-from splatview.scene import Camera, Gaussians, InputError, RenderSettings, look_at
-from splatview.scene.effects.overrides import settings_for
+from splatview.scene import Camera, Gaussians, InputError, look_at
+from splatview.scene.effects.overrides import all_in_sight
 from splatview.scene.errors import bytes_in_words, parse_bytes
 from splatview.scene.formats import FORMATS, Format, load_scene, save_scene, stored_bytes, trial_path
 from splatview.scene.framing import WORLD_UP, robust_bounds
@@ -144,9 +144,8 @@ class Judge:
 
 
 def picture_of(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    """(H, W, 3) float32 in [0, 1], drawn as the scene's own tags say."""
-    settings: RenderSettings = settings_for(gaussians)
-    return np.clip(raster.render(gaussians, camera, settings)[..., :3], 0, 1)
+    """(H, W, 3) float32 in [0, 1], drawn as the scene's own tags say, but for a near plane."""
+    return np.clip(raster.render(gaussians, camera, all_in_sight(gaussians))[..., :3], 0, 1)
 
 
 def with_degree(gaussians: Gaussians, degree: int) -> Gaussians:
@@ -165,7 +164,7 @@ def ranking(gaussians: Gaussians, progress: Progress, *, skipped: int) -> np.nda
         return np.zeros(0, np.int64)
     edits = Document(gaussians).edits
     outside = sample_cameras(gaussians, edits, skipped + RANKED_VIEWS, size=RANKED_SIZE)[skipped:]
-    settings, score = settings_for(gaussians), np.zeros(len(gaussians))
+    settings, score = all_in_sight(gaussians), np.zeros(len(gaussians))
     inside = _from_within(gaussians)
     for done, camera in enumerate((*outside, *inside)):
         progress.step(done / (len(outside) + len(inside)))

@@ -18,7 +18,7 @@ from splatview.scene.effects.appearance import (
 from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.sh_bands import band_name, used_sh_degree
 from splatview.scene.gaussians import Gaussians, near_plane
-from splatview.scene.image_model import ImageModel, RenderSettings
+from splatview.scene.image_model import NEAR, ImageModel, RenderSettings
 
 Overrides = Mapping[str, bool | None]
 """By the name of an effect: on, off, or as the analysis decides (None, or not named)."""
@@ -56,6 +56,13 @@ def settings_for(
         sh_degree=used if used < stored else None,
         early_stop=early_stop_for(gaussians, palette),
     )
+
+
+def all_in_sight(gaussians: Gaussians) -> RenderSettings:
+    """Those of `settings_for` without a near plane of the file's: for what goes by views from anywhere, in
+    which every splat counts, and for files of formats that cannot say where it is."""
+    settings = settings_for(gaussians)
+    return replace(settings, model=replace(settings.model, near=NEAR))
 
 
 def quick_settings(gaussians: Gaussians) -> RenderSettings:

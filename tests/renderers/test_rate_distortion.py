@@ -10,10 +10,13 @@ import pytest
 
 from splatview.edit.document import Document
 from splatview.edit.sample_views import sample_cameras
+from splatview.raster import render
 from splatview.renderers.conversion import Conversion, convert
+from splatview.renderers.quality import ranked_by_contribution
 from splatview.renderers.rate_distortion import Aim, Judge, Target, parse_target, ranking
 from splatview.scene import Camera, InputError
-from splatview.scene.formats import FORMATS, format_of, load_scene, stored_bytes
+from splatview.scene.effects.overrides import settings_for
+from splatview.scene.formats import FORMATS, format_of, load_scene, losses, stored_bytes
 from splatview.scene.gaussians import concatenate
 from splatview.scene.progress import NO_PROGRESS, Cancelled, Progress
 
@@ -140,3 +143,14 @@ def test_every_knob_makes_a_smaller_file_at_its_coarsest(scene, tmp_path):
                 for file in sorted(path.parent.rglob("*"), reverse=True):
                     file.rmdir() if file.is_dir() else file.unlink()
             assert sizes[0] < sizes[1], (known.suffix, name)
+
+
+def test_a_near_plane_is_no_part_of_what_a_file_loses(scene, views):
+    """It hides splats from some views; formats without comments name it among what they cannot hold."""
+    said = replace(scene, comments=("near plane 2.5",))
+    assert np.abs(render(scene, views[0]) - render(said, views[0], settings_for(said))).max() > 0.1
+    assert Judge(said, views).error(scene) == (0.0, 0.0)
+    ranked = [ranking(one, NO_PROGRESS, skipped=2) for one in (said, scene)]
+    np.testing.assert_array_equal(*ranked)
+    np.testing.assert_array_equal(ranked_by_contribution(said), ranked_by_contribution(scene))
+    assert "its near plane" in losses(said, Path("a.spz"))
