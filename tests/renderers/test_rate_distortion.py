@@ -150,7 +150,7 @@ def test_a_near_plane_is_no_part_of_what_a_file_loses(scene, views):
     said = replace(scene, comments=("near plane 2.5",))
     assert np.abs(render(scene, views[0]) - render(said, views[0], settings_for(said))).max() > 0.1
     assert Judge(said, views).error(scene) == (0.0, 0.0)
-    ranked = [ranking(one, NO_PROGRESS, skipped=2) for one in (said, scene)]
-    np.testing.assert_array_equal(*ranked)
+    ours, theirs = (ranking(one, NO_PROGRESS, skipped=2) for one in (said, scene))
+    np.testing.assert_array_equal(ours, theirs)
     np.testing.assert_array_equal(ranked_by_contribution(said), ranked_by_contribution(scene))
     assert "its near plane" in losses(said, Path("a.spz"))
