@@ -25,7 +25,8 @@ what the directions that photos see it from do not need (29.91 in place of 29.75
 Nor do other cameras see what stands nearer than the free space of every photo: a near plane at a share of
 the least depth at which one's points begin, by which held-out photos, the window and the file's readers draw
 it. Photos trained on lose 0.02 dB at most, by what reaches in from beside them. Fog that a camera stands in
-is what photos from opposite have as their horizon, so that it cannot go. By the same scenes without and with it, after fits of exposure and as they are,
+is what photos from opposite have as their horizon, so that it cannot go. By the same scenes without and with
+it, after fits of exposure and as they are,
 a minute: `kermit` 14.92 and 17.23, 15.65 and 17.04 dB (split 2), `bust` 19.57 and 21.03, 17.93 and 18.50
 (split 1), 16.25 in both (split 2), `miku 12 far` 19.54 and 20.39, 17.89 and 19.68 (split 1). All these chose
 the least depth and the share that stood already: with 0.75 of it 17.63, 21.49, 16.25 and 20.72 dB, with all
