@@ -17,7 +17,7 @@ from splatview.raster.compiling import available_threads
 from splatview.scene import Gaussians
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
 from splatview.scene.progress import NO_PROGRESS, Progress
-from splatview.trainer.backdrop import automatic_surround, find_backdrop, standing_before
+from splatview.trainer.backdrop import automatic_surround, find_backdrop, mean_colour, standing_before
 from splatview.trainer.counters import PluginError, StepReport
 from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
@@ -85,16 +85,18 @@ def settings_for(
     threads = threads or available_threads()
     timed = minutes if iterations is None else None
     shown = views.photos_of_a_place(capture.points)
-    limit = max_splats or automatic_limit(pixels, timed, automatic_steps(photos))
+    backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
+    says_empty = backdrop is not None or capture.background is not None
+    few_steps = automatic_steps(photos, not says_empty and mean_colour(views.all) is not None)
+    limit = max_splats or automatic_limit(pixels, timed, few_steps)
     if "background" not in fields:
-        backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
         fields["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
-        if not backdrop and capture.background is None:
+        if not says_empty:
             fields.setdefault("surround", automatic_surround(views.all, shown))
     weight = automatic_regularisation(photos, views.covered(fields["background"]))
-    batch = automatic_batch(timed, automatic_steps(photos), threads)
+    batch = automatic_batch(timed, few_steps, threads)
     if iterations is None:
-        iterations = automatic_steps(photos) or (PAPER_ITERATIONS if minutes is None else None)
+        iterations = few_steps or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))
     automatic: dict[str, Any] = {
         "batch": batch,

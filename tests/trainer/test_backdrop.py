@@ -24,7 +24,7 @@ from splatview.trainer.backdrop import (
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import SURROUND, capture_effects
 from splatview.trainer.loss import photo_loss
-from splatview.trainer.settings import TrainSettings, from_recorded, recorded
+from splatview.trainer.settings import TrainSettings, automatic_steps, from_recorded, recorded
 from splatview.trainer.setup import kernel_threads_only
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews, train_views
@@ -223,6 +223,15 @@ def test_what_many_photos_show_has_no_surround() -> None:
     effects = capture_effects(many, settings, "auto")
     assert f"{ENOUGH_PHOTOS} and more show each place" in next(e for e in effects if e.name == SURROUND).why
     assert trainer_of(many, surround=(0.5, 0.4, 0.3)).settings.surround == (0.5, 0.4, 0.3)
+
+
+def test_photos_that_say_what_is_empty_take_more_steps() -> None:
+    everywhere, transparent = capture_of(indoors), capture_of(indoors, alpha=True)
+    steps = automatic_steps(12, everywhere=True)
+    for fields in ({}, {"background": (0.0, 0.0, 0.0)}, {"surround": None}):
+        assert trainer_of(everywhere, iterations=None, **fields).settings.iterations == steps
+    assert trainer_of(transparent, iterations=None).settings.iterations == automatic_steps(12) != steps
+    assert trainer_of(everywhere, iterations=70).settings.iterations == 70
 
 
 def test_each_photo_has_its_own_colour_about_the_surrounds() -> None:

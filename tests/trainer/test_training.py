@@ -347,6 +347,9 @@ def test_few_photos_pull_harder_and_drop_more() -> None:
     assert 1 < automatic_max_aspect(13) < automatic_max_aspect(84)
     few = [automatic_steps(photos) or 0 for photos in (1, 13, 40)]
     assert few == sorted(few) and few[0] >= 1000 and automatic_steps(84) is None
+    opaque = [automatic_steps(photos, everywhere=True) or 0 for photos in (1, 13, 40)]
+    assert [2 * steps for steps in few] == [3 * steps for steps in opaque]
+    assert automatic_steps(84, everywhere=True) is None
 
 
 def test_photos_that_show_a_place_are_counted(views) -> None:
