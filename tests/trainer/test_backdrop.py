@@ -225,12 +225,12 @@ def test_what_many_photos_show_has_no_surround() -> None:
     assert trainer_of(many, surround=(0.5, 0.4, 0.3)).settings.surround == (0.5, 0.4, 0.3)
 
 
-def test_photos_that_say_what_is_empty_take_more_steps() -> None:
-    everywhere, transparent = capture_of(indoors), capture_of(indoors, alpha=True)
-    steps = automatic_steps(12, everywhere=True)
+def test_few_photos_that_say_what_is_empty_take_more_steps() -> None:
+    everywhere, transparent = capture_of(indoors, count=7), capture_of(indoors, alpha=True, count=7)
+    steps = automatic_steps(7, everywhere=True)
     for fields in ({}, {"background": (0.0, 0.0, 0.0)}, {"surround": None}):
         assert trainer_of(everywhere, iterations=None, **fields).settings.iterations == steps
-    assert trainer_of(transparent, iterations=None).settings.iterations == automatic_steps(12) != steps
+    assert trainer_of(transparent, iterations=None).settings.iterations == automatic_steps(7) != steps
     assert trainer_of(everywhere, iterations=70).settings.iterations == 70
 
 
