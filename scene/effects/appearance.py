@@ -11,9 +11,9 @@ import numpy as np
 from splatview.scene.edits import Adjustment, is_graded
 from splatview.scene.effects.effect import VISIBLE, Effect, Saving, grey_levels, short
 from splatview.scene.effects.sh_bands import colour_reach
-from splatview.scene.gaussians import SAYS_NEAR, Gaussians
+from splatview.scene.gaussians import SAYS_NEAR, Gaussians, near_plane
 from splatview.scene.health import Finding
-from splatview.scene.image_model import BLUR, DISC_BLUR, RenderSettings
+from splatview.scene.image_model import BLUR, DISC_BLUR, NEAR, RenderSettings
 from splatview.scene.projection import sigmoid
 from splatview.scene.sh import SH_C0
 
@@ -108,6 +108,27 @@ def background_effect(settings: RenderSettings | None) -> Effect:
         why=f"{what}: where all light comes through it adds {grey_levels(bound) if bound else 'nothing'}",
         saving=Saving(what="one product and sum a pixel"),
         bound=bound,
+    )
+
+
+def near_plane_effect(gaussians: Gaussians, settings: RenderSettings | None) -> Effect:
+    """Whether what is near the camera is left out, beyond what every picture does without."""
+    said = near_plane(gaussians.comments)
+    near = said if settings is None else settings.model.near
+    if near <= NEAR:
+        why = f"nothing nearer than {near:g} units is drawn; "
+        why += f"the file's {said:g} is not in force" if said > NEAR else "the file asks for no more"
+    elif said == near:
+        why = f"the file says that no photo it was trained on shows anything nearer than {near:g} units"
+    else:
+        why = f"splats nearer than {near:g} units are out of sight"
+        why += f", as asked for or as the view allows; the file says {said:g}" if said > NEAR else ""
+    return Effect(
+        name="near plane",
+        on=near > NEAR,
+        why=why,
+        saving=Saving(what="one comparison per splat"),
+        bound=math.inf if near > NEAR else 0.0,
     )
 
 

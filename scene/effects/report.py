@@ -26,6 +26,7 @@ from splatview.scene.effects.appearance import (
     flat_effect,
     hidden_light_effect,
     left_out_effects,
+    near_plane_effect,
     transparency_effect,
 )
 from splatview.scene.effects.effect import Effect, Saving
@@ -313,6 +314,7 @@ def view_effects(
     """What changes from picture to picture."""
     return [
         lens_effect(camera),
+        near_plane_effect(gaussians, settings),
         background_effect(settings),
         *edit_effects(gaussians, edits),
         redrawing_effect(camera, previous),

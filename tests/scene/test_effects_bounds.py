@@ -270,6 +270,20 @@ def test_backgrounds(random_gaussians, seed, colour):
     assert_told(effect, picture(scene, camera, wanted), picture(scene, camera))
 
 
+@given(seed=SEEDS, near=st.floats(0.02, 4.0), obeyed=st.booleans())
+@brief
+def test_near_planes(random_gaussians, seed, near, obeyed):
+    scene, camera = random_gaussians(12, seed=seed), camera_at(seed)
+    assert not receipt(scene)["near plane"].on
+    scene = replace(scene, comments=(f"near plane {near!r}",))
+    wanted = settings_for(scene) if obeyed else RenderSettings()
+    assert wanted.model.near == (near if obeyed else RenderSettings().model.near)
+    effect = receipt(scene, settings=wanted)["near plane"]
+    assert_told(effect, picture(scene, camera, wanted), picture(scene, camera))
+    assert effect.on == obeyed and f"{near:g}" in effect.why
+    assert receipt(scene)["near plane"].on, "where nobody says otherwise the file does"
+
+
 @given(seed=SEEDS, strength=STRENGTHS)
 @brief
 def test_views_that_are_not_drawn_again(random_gaussians, seed, strength):

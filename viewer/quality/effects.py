@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from splatview.measure.effect_costs import EffectPrice
 from splatview.scene import Camera, Gaussians, RenderSettings
 from splatview.scene.edits import Adjustment, SceneEdits
-from splatview.scene.effects.appearance import background_effect
+from splatview.scene.effects.appearance import background_effect, near_plane_effect
 from splatview.scene.effects.effect import Effect
 from splatview.scene.effects.overrides import as_settings_have_them, switched
 from splatview.scene.effects.report import edit_effects, lens_effect, redrawing_effect, with_grade
@@ -68,6 +68,7 @@ class Effects(Feature):
         return (
             *shown[3],
             lens_effect(app.camera),
+            near_plane_effect(scene.gaussians, app.seen_settings),
             background_effect(app.settings),
             *self._edit_effects(app, scene.gaussians),
             redrawing_effect(app.camera, self._before),
