@@ -149,11 +149,11 @@ def automatic_dropout(photos: int) -> float:
     33.48, 33.38 and 33.34 dB on `skull RGBA 100` at half the bench's size.
 
     Dropped: besides, to move splats by chance in each step, in the end by 0.3 of their size, after Zhao et
-    al. 2025, SE-GS. Three minutes, 400 steps per photo, three splits each. Chosen by a minute of `miku 12
-    far` and `near`, which after three have 21.21 and 21.52, 27.21 and 27.28 dB without and with it; judged by
-    `banana` 26.83 and 26.86, `toy` 21.53 and 21.57, `kermit` 18.61 and 18.47, `bust` 18.58 and 18.42,
-    `castle` 17.07 and 16.80. Dropped, too: to leave out whole cells of space, -0.06 and +0.18 dB after a
-    minute of `miku 12 far` and `near`.
+    al. 2025, SE-GS. Three minutes, 400 steps per photo, three splits each (runs in steps.json). Chosen by a
+    minute of `miku 12 far` and `near`, which after three have 21.21 and 21.52, 27.21 and 27.28 dB without and
+    with it; judged by `banana` 26.83 and 26.86, `toy` 21.53 and 21.57, `kermit` 18.61 and 18.47, `bust` 18.58
+    and 18.42, `castle` 17.07 and 16.80. Dropped, too: to leave out whole cells of space, -0.06 and +0.18 dB
+    after a minute of `miku 12 far` and `near`.
     """
     share = min(2.6 / max(photos, 1), MOST_DROPOUT)
     return share if share >= LEAST_DROPOUT else 0.0

@@ -319,7 +319,7 @@ REAL = {
     "miku 12 near": RealCapture("judge", "miku", 4, 12, "near"),
     "miku 20 far": RealCapture("judge", "miku", 4, 20),
     "miku 20 near": RealCapture("choose", "miku", 4, 20, "near"),
-    "miku 40 far": RealCapture("judge", "miku", 4, 40),
+    "miku 40 far": RealCapture("choose", "miku", 4, 40),
 }
 
 NAMES = (*REAL, *PUBLIC, *RENDERED)

@@ -48,7 +48,7 @@ PUBLIC = {
     "tree": PublicCapture("judge", "alicevision/dataset_monstree", "full", 12),
     "beach": PublicCapture("choose", "pierotofy/drone_dataset_brighton_beach", "images", 10),
     "toy": PublicCapture("choose", "snavely/bundler_sfm", "examples/ET", 2),
-    "bust": PublicCapture("judge", "alicevision/dataset_buddha", "buddha", 7),
+    "bust": PublicCapture("choose", "alicevision/dataset_buddha", "buddha", 7),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
