@@ -101,7 +101,7 @@ def print_summary(
         console.print(table)
     say(
         console,
-        f"{outputs.scene}: {len(trainer.splats):,} splats, {counters.iteration:,} steps in"
+        f"{outputs.scene}: {len(trainer.scene):,} splats, {counters.iteration:,} steps in"
         f" {counters.seconds:.1f} s",
     )
     if evaluation is not None:
@@ -349,6 +349,12 @@ def make_parser() -> Parser:
         choices=("auto", "stay"),
         help="what becomes, as the run ends, of splats that one photo alone shows in front of what others do,"
         " as somebody passing by (default: auto: they go)",
+    )
+    group.add_argument(
+        "--ensemble",
+        choices=("auto", "off"),
+        help="where photos are few and steps end before the minutes do, train other scenes, and a last one"
+        " that learns from all of them (default: auto)",
     )
     group.add_argument(
         "--sky",

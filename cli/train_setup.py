@@ -50,7 +50,7 @@ from splatview.trainer.memory import (
 )
 from splatview.trainer.photo_size import SizeChoice
 from splatview.trainer.run import Outputs
-from splatview.trainer.settings import LEAST_LIMIT, TrainSettings, automatic_batch, automatic_steps
+from splatview.trainer.settings import LEAST_LIMIT, MEMBERS, TrainSettings, automatic_batch, automatic_steps
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.torch_import import TorchImport
 from splatview.trainer.views import TrainView, TrainViews, train_views
@@ -78,6 +78,7 @@ OF_THE_CHECKPOINT = [
     "exposure",
     "outliers",
     "passing",
+    "ensemble",
     "sky",
     "background",
     "antialiased",
@@ -197,6 +198,11 @@ def _prepare(
         timed = options.minutes if options.iterations is None else None
         most = batch or automatic_batch(timed, None, machine.threads)
         more = {"machine": machine, "batch": most, "stereo": stereo, "window": window}
+        if checkpoint is not None:
+            more["ensemble"] = checkpoint.settings.ensemble
+        elif timed is not None and options.ensemble != "off" and options.plugin is None and group.size == 1:
+            photos = sizes.trained / max(sizes.largest, 1)  # of one size, or more than so many
+            more["ensemble"] = MEMBERS if automatic_steps(round(photos)) is not None else 1
         return _room_for(sizes, bound, options, checkpoint, **more)
 
     size = SizeChoice(asked_size, options.minutes, machine.threads, room_for)
@@ -406,6 +412,7 @@ def _new_trainer(
         outliers=options.outliers or "auto",
         most_of_one=1.0 if options.passing == "stay" else MOST_OF_ONE,
         sky=options.sky or "auto",
+        **({"ensemble": 1} if options.ensemble == "off" else {}),
         absolute_gradient=bool(options.abs_grad),
         threads=cores,
         start=options.start or "auto",
@@ -448,14 +455,16 @@ def _resumed_trainer(
     settings = checkpoint.settings
     if options.iterations is not None or options.minutes is not None:
         settings = replace(settings, iterations=options.iterations, minutes=options.minutes)
-    from splatview.trainer.trainer import Trainer
+    from splatview.trainer.ensemble import EnsembleTrainer, kind_of_trainer
 
     settings = replace(settings, max_splats=max_splats)
     if settings.backdrop == "auto":
         views = standing_before(views, settings.background)
     parameters = checkpoint.parameters
     extent, threads = checkpoint.extent, _threads(options, group)
-    trainer = Trainer(
+    kind = kind_of_trainer(settings, group, loss)
+    settings = settings if kind is EnsembleTrainer else replace(settings, ensemble=1)
+    trainer = kind(
         views, parameters, extent, settings, centre=centre, threads=threads, group=group, loss=loss
     )
     restore(trainer, checkpoint)

@@ -188,7 +188,7 @@ def train_rung(
             for fitted in (False, True) if fits is None else (fits,):
                 scores[fitted].append(
                     evaluate(
-                        trainer.splats.arrays,
+                        trainer.scene.arrays,
                         held_out,
                         trainer.shown_settings,
                         threads=trainer.threads,
@@ -201,7 +201,7 @@ def train_rung(
         seconds=np.array(seconds),
         psnr=np.array(scores[fits]),
         steps=trainer.counters.iteration,
-        gaussians=len(trainer.splats),
+        gaussians=len(trainer.scene),
     ), fits
 
 

@@ -469,7 +469,7 @@ class BackgroundTraining:
         self._slot.append(
             Snapshot(
                 gaussians=trainer.snapshot(),
-                ids=trainer.splats.ids,
+                ids=trainer.scene.ids,
                 iteration=counters.iteration,
                 seconds=counters.seconds,
                 exposures_differ=trainer.exposures.is_on,
@@ -490,8 +490,8 @@ class BackgroundTraining:
             iteration=trainer.counters.iteration,
             progress=trainer.progress,
             seconds=trainer.counters.seconds,
-            gaussians=len(trainer.splats),
-            sh_degree=trainer.splats.sh_degree,
+            gaussians=len(trainer.scene),
+            sh_degree=trainer.scene.sh_degree,
             left_out=trainer.outliers.names_left_out,
             **changes,
         )

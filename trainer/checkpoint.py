@@ -59,6 +59,8 @@ class Checkpoint:
     """Arrays of the photos' exposures, see `Exposures.state`."""
     evidence: dict[str, np.ndarray]
     """Arrays of what the run has found out about itself; none in older files."""
+    scenes: dict[str, np.ndarray]
+    """Arrays of the scenes before the present one, see `ensemble`; none where there are none."""
     photos: list[list[Any]]
     """[name, width, height] of each photo trained on, in order."""
     notes: dict[str, Any]
@@ -85,6 +87,7 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
     evidence = trainer.resolution.state() | trainer.outliers.state() | trainer.withheld.state()
     evidence["nearest_depths"] = trainer.nearest_depths
     arrays |= {f"evidence.{name}": array for name, array in evidence.items()}
+    arrays |= {f"scenes.{name}": array for name, array in trainer.scenes_state().items()}
     description = {
         "settings": recorded(trainer.settings),
         "counters": asdict(trainer.counters) | {name: state[name] for name in REFINED},
@@ -124,6 +127,8 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     Raises:
         InputError: the photos are others.
     """
+    from splatview.trainer.ensemble import EnsembleTrainer  # which needs torch
+
     ours, theirs = trainer.views.names(), checkpoint.photos
     if ours != theirs:
         different = next((a for a, b in zip(ours, theirs, strict=False) if a != b), None)
@@ -157,6 +162,8 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     trainer.nearest_depths = checkpoint.evidence.get("nearest_depths", np.zeros(len(ours)))
     if trainer.nearest_depths.shape != (len(ours),):
         raise InputError("the checkpoint's depths are not as many as its photos; it is damaged")
+    if isinstance(trainer, EnsembleTrainer) and checkpoint.scenes:
+        trainer.restore_scenes(checkpoint.scenes)
 
 
 def _under(prefix: str, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -204,6 +211,7 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
         state=state,
         exposure=_under("exposure.", arrays),
         evidence=_under("evidence.", arrays),
+        scenes=_under("scenes.", arrays),
         photos=[list(photo) for photo in run["photos"]],
         notes=dict(run["notes"]),
     )

@@ -56,6 +56,8 @@ SURROUND = "surround"
 
 BLOCKS = "withheld blocks"
 
+SCENES = "several scenes"
+
 FEW_PHOTOS = "rules for few photos"
 
 COVERED = "weaker regularisers"
@@ -118,6 +120,7 @@ def capture_effects(
         _surround(settings),
         _covered(len(capture.train), settings, covered),
         _blocks(settings),
+        _scenes(settings),
         _few_photos(len(capture.train), settings),
     )
 
@@ -187,6 +190,28 @@ def with_withheld(effects: tuple[Effect, ...], withheld: Withheld) -> tuple[Effe
         else effect
         for effect in effects
     )
+
+
+def with_scenes(effects: tuple[Effect, ...], members: int, taught: bool) -> tuple[Effect, ...]:
+    """The same once so many scenes are whole, and one learns from them or not."""
+    why = f"{members} from the same photos, and a last one that learns from them" if taught else ""
+    if not taught:
+        why = "there was time for one alone" if members == 1 else f"there was time for {members} alone"
+    return tuple(
+        replace(effect, on=members > 1, why=why) if effect.name == SCENES else effect for effect in effects
+    )
+
+
+def _scenes(settings: TrainSettings) -> Effect:
+    if settings.trains_several:
+        why = (
+            f"{settings.iterations:,} steps end a scene: others follow, {settings.ensemble} in all at most,"
+            " and one that learns from them, as far as there is time"
+        )
+    else:
+        why = "one is trained to the end of the run"
+    saving = Saving(what="as many steps again for each, and pictures of all of them")
+    return Effect(name=SCENES, on=settings.trains_several, why=why, saving=saving)
 
 
 def _blocks(settings: TrainSettings) -> Effect:

@@ -173,6 +173,22 @@ def past_free_space(settings: RenderSettings, depths: np.ndarray) -> RenderSetti
     return replace(settings, model=replace(settings.model, near=near))
 
 
+def clear(
+    parameters: Parameters,
+    pieces: Sequence[np.ndarray],
+    camera: Camera,
+    depth: float,
+    max_size: float,
+    threads: int | None = None,
+) -> None:
+    """Of a photo's `pieces`, indices (V,) each: makes invisible what stands nearer to its camera than
+    `depth`, 0 for nothing, and shortens what is too long to be told from a veil, see `limit_sizes`."""
+    if max_size < math.inf:
+        limit_sizes(parameters, pieces, camera, max_size, threads)
+    for indices in pieces if depth > 0 else ():
+        parameters.opacity_logits[standing_before(parameters.means, indices, camera, depth)] = GONE
+
+
 def standing_before(means: np.ndarray, indices: np.ndarray, camera: Camera, depth: float) -> np.ndarray:
     """Those of the splats at `indices` (V,) whose means (N, 3) a camera shows nearer than a depth."""
     axis, offset = camera.R_camera_world[2], camera.t_camera_world[2]

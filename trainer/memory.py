@@ -22,6 +22,7 @@ from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats.io import resident_memory
 from splatview.scene.formats.ply_body import free_memory
 from splatview.scene.gaussians import SH_COEFFICIENTS
+from splatview.trainer.settings import pictures_taught
 from splatview.trainer.stereo import MOST_PHOTOS, PIXELS, PIXELS_PER_POINT
 
 MARGIN = 1.03
@@ -66,6 +67,9 @@ CHECKPOINT = 2
 
 SNAPSHOTS = 3
 """Copies of the splats that a window holds: the published one, the shown one, and what it is drawn from."""
+
+TAUGHT_PLANES = 4
+"""Bytes of a pixel of the pictures of an ensemble: colours and opacity."""
 
 TILE_PIXELS = 256
 
@@ -213,14 +217,18 @@ def run_memory(
     batch: int = 1,
     sh_degree: int = 3,
     stereo: bool = False,
+    ensemble: int = 1,
     machine: Machine,
     window: bool = False,
 ) -> RunMemory:
-    """Of a run on a machine. `resolution`, `batch` and `sh_degree` are those of `TrainSettings`; `stereo`:
-    splats begin where stereo finds surfaces."""
+    """Of a run on a machine. `resolution`, `batch`, `sh_degree` and `ensemble` are those of `TrainSettings`,
+    the last 1 where it trains one scene alone; `stereo`: splats begin where stereo finds surfaces."""
     factors = [2.0] if resolution is None else [factor for _, factor in resolution if factor > 1]
     smaller = sizes.trained / min(factors) ** 2 if factors else 0.0
     photos = sizes.planes * sizes.pixels
+    if ensemble > 1:
+        taught = pictures_taught(max(sizes.trained // sizes.largest, 1), sizes.largest) * sizes.largest
+        smaller += TAUGHT_PLANES / sizes.planes * taught * (1 + (1 / min(factors) ** 2 if factors else 0))
     swept = min(sizes.trained, MOST_PHOTOS * min(sizes.largest, PIXELS)) if stereo else 0
     program = PROGRAM_BYTES + window * WINDOW_BYTES + machine.compiles * COMPILER_BYTES
     program += stereo * STEREO_BYTES + swept * STEREO_PIXEL_BYTES
@@ -237,6 +245,7 @@ def run_memory(
         splat=held * (1 + FREED)
         + gradients * (1 + (batch > 1))
         + BUFFER_BYTES
+        + (ensemble + 1) * parameters * (ensemble > 1)  # its scenes, and a copy of the last
         + window * SNAPSHOTS * (parameters + 20),
         saved=held * CHECKPOINT,
         largest=sizes.largest,

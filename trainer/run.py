@@ -34,11 +34,13 @@ from splatview.trainer.effects import (
     FEW_PHOTOS,
     OUTLIERS,
     PASSING,
+    SCENES,
     with_easing,
     with_exposure,
     with_frozen,
     with_outliers,
     with_passing,
+    with_scenes,
     with_withheld,
 )
 from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
@@ -280,6 +282,7 @@ class TrainingRun:
         exposures, outliers = self.trainer.exposures, self.trainer.outliers
         undecided, unsure = not exposures.is_decided, not outliers.is_decided
         watching = not self.trainer.withheld.given_back
+        scenes = len(self.trainer.members)
         loss = self.trainer.loss
         unknown = loss is not None and loss.replaces is None
         report = self.trainer.step(self.seconds)
@@ -310,6 +313,8 @@ class TrainingRun:
                 self.on_note(f"{PASSING}: {why}; --passing stay leaves them in")
         if self.trainer.done and (frozen := self.trainer.frozen) is not None:
             self.effects = with_frozen(self.effects, frozen, len(self.trainer.splats))
+        if len(self.trainer.members) > scenes:
+            self._tell_scenes()
         self._tell_easing()
         evaluation = None
         if self.held_out and self._evaluation_is_due(report.iteration):
@@ -326,7 +331,7 @@ class TrainingRun:
         """What the scene as it is shows of held-out photos, in turn."""
         trainer = self.trainer
         return pictures(
-            trainer.splats.arrays,
+            trainer.scene.arrays,
             views,
             trainer.shown_settings,
             threads=trainer.threads,
@@ -401,6 +406,22 @@ class TrainingRun:
             return False
         by_steps = self.eval_every is None and iteration % EVALUATE_EVERY == 0
         return by_steps or (self.eval_seconds is not None and since >= self.eval_seconds)
+
+    def _tell_scenes(self) -> None:
+        """Notes that a scene is whole, and what follows."""
+        trainer = self.trainer
+        count, taught = len(trainer.members), trainer.taught
+        if trainer.done:
+            self.effects = with_scenes(self.effects, count, taught=False)
+            return
+        follows = "another one is trained from the same photos"
+        if taught is not None:
+            self.effects = with_scenes(self.effects, count, taught=True)
+            follows = f"a last one learns from photos and from {len(taught)} pictures of all {count}"
+        self.on_note(
+            f"{SCENES}: scene {count} is whole at step {trainer.counters.iteration:,}, and shown and saved"
+            f" until the last one is; {follows}"
+        )
 
     def _tell_easing(self) -> None:
         """Notes by what share the rules for few photos are in force, where that has changed by a quarter.

@@ -219,14 +219,15 @@ def automatic_max_aspect(photos: int) -> float:
 
 STEPS_PER_PHOTO, LEAST_STEPS = 600, 3_000
 
-STEPS_BY_PHOTOS, LEAST_PER_PHOTO = 46.5, 300
+STEPS_BY_PHOTOS, LEAST_PER_PHOTO, FEWEST = 46.5, 300, 13
 """Steps per photo for each photo of those that show something everywhere, and the fewest. So 8 photos are
-done with within a minute, as a rule, and from 13 on nothing is different."""
+done with within a minute, as a rule, and from the third number on nothing is different."""
 
 
-def automatic_steps(photos: int, everywhere: bool = False) -> int | None:
+def automatic_steps(photos: int, everywhere: bool = False, shown: float = math.inf) -> int | None:
     """Steps after which a run on so few photos should be over; None: they are not few. `everywhere`: whether
-    they show something everywhere, and so say of no place that it is empty.
+    they show something everywhere, and so say of no place that it is empty; `shown`: how many of them show a
+    place, see `TrainViews.photos_of_a_place`.
 
     On held-out photos of `banana` (13 to train on, half size) runs of 8,000 and of 16,000 steps both score
     28.74 dB; without a limit to the aspect they score 28.8 and 28.2 dB, and one of 67,000 steps, with
@@ -244,6 +245,10 @@ def automatic_steps(photos: int, everywhere: bool = False) -> int | None:
     27.11, `miku 12 far` (8) 21.03, 21.21 and 21.47: what is lost there is less than chance, in half the time.
     (Compared before black two thirds of the steps had 0.8 dB less on `kermit`, 0.2 on `toy` and 0.2 more on
     `bust`.)
+
+    Where a place is shown by half of so few photos or fewer, their number is its geometric mean with that of
+    those: `beach` (4 of 12), on which that was chosen, has 18.54 dB after three minutes, and 18.35 by their
+    number alone (three splits; 18.42 after one minute, so that time made it worse).
 
     Dropped: half as many more, 900 per photo with as many splats, where photos have a surround: `banana`
     27.45 and 25.31 dB in place of 27.18 and 25.38, with less SSIM (0.746, 0.713; 0.752, 0.730).
@@ -267,9 +272,23 @@ def automatic_steps(photos: int, everywhere: bool = False) -> int | None:
     if photos >= FEW_PHOTOS:
         return None
     if everywhere:
-        steps = round(photos * min(max(STEPS_BY_PHOTOS * photos, LEAST_PER_PHOTO), STEPS_PER_PHOTO))
+        few = photos if 2 * shown > photos or photos >= FEWEST else math.sqrt(photos * shown)
+        steps = round(photos * min(max(STEPS_BY_PHOTOS * few, LEAST_PER_PHOTO), STEPS_PER_PHOTO))
         return max(steps, LEAST_STEPS // 2)
     return max(photos * STEPS_PER_PHOTO, LEAST_STEPS)
+
+
+MEMBERS = 3
+"""Scenes that teach a last one, at most. See `ensemble`."""
+
+PICTURES, PICTURE_PIXELS = 150, 50_000_000
+"""Pictures by which they do, and the pixels of all of them, at most; of large photos there are two for each
+at least."""
+
+
+def pictures_taught(photos: int, pixels: int) -> int:
+    """How many pictures so many photos of so many pixels each are taught besides."""
+    return min(max(PICTURE_PIXELS // pixels, 2 * photos), PICTURES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -363,6 +382,9 @@ class TrainSettings(StrategySettings):
     there are more than five times as many photos; 0: none. See `free_space`."""
     few_views_rounds: float = FEW_VIEWS_ROUNDS
     """Times that every photo was looked at."""
+    ensemble: int = 1
+    """Scenes at most that are trained one after the other, where steps end each before the minutes are over;
+    their mean then teaches a last one, see `ensemble`. 1: one alone."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -403,6 +425,8 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"few_views must not be negative, got {self.few_views}")
         if not self.few_views_rounds >= 0:
             raise ValueError(f"few_views_rounds must not be negative, got {self.few_views_rounds}")
+        if not self.ensemble >= 1:
+            raise ValueError(f"ensemble must be at least 1, got {self.ensemble}")
         if not 0 <= self.withheld <= 0.5:
             raise ValueError(f"withheld must be 0 to 0.5, got {self.withheld}")
         if not 0 <= self.dropout < 1:
@@ -413,6 +437,11 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"sh_degree must be 0 to 3, got {self.sh_degree}")
         if not 0 <= self.seed < 2**63:
             raise ValueError(f"seed must be at least 0 and below 2**63, got {self.seed}")
+
+    @property
+    def trains_several(self) -> bool:
+        """Whether a run may train several scenes: one has an end before that of the minutes."""
+        return self.ensemble > 1 and None not in (self.iterations, self.minutes) and not self.withheld
 
     def progress(self, iteration: int, seconds: float, prepared: float = 0.0) -> float:
         """The share of the run that is over, 0 to 1. `prepared`: of the seconds, those before the first step,
@@ -471,6 +500,7 @@ WITHOUT_WORD = {
     "withheld": 0.0,
     "few_views": 0,
     "few_views_rounds": 0.0,
+    "ensemble": 1,
 }
 """Fields that older checkpoints do not have, as their runs went."""
 

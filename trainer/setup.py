@@ -21,6 +21,7 @@ from splatview.trainer.backdrop import automatic_surround, find_backdrop, mean_c
 from splatview.trainer.counters import PluginError, StepReport
 from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
+from splatview.trainer.ensemble import EnsembleTrainer, kind_of_trainer
 from splatview.trainer.evaluate import Evaluation, evaluate
 from splatview.trainer.free_space import nearest_depths
 from splatview.trainer.initialisation import initial_parameters
@@ -40,6 +41,7 @@ from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
 from splatview.trainer.settings import (
     FULL_REG_LOSS,
     LEAST_LIMIT,
+    MEMBERS,
     PAPER_ITERATIONS,
     STEPS_OF_A_MINUTE,
     TrainSettings,
@@ -87,7 +89,8 @@ def settings_for(
     shown = views.photos_of_a_place(capture.points)
     backdrop = find_backdrop(views.all) if fields.get("backdrop") != "off" else None
     says_empty = backdrop is not None or capture.background is not None
-    few_steps = automatic_steps(photos, not says_empty and mean_colour(views.all) is not None)
+    everywhere = not says_empty and mean_colour(views.all) is not None
+    few_steps = automatic_steps(photos, everywhere, shown)
     limit = max_splats or automatic_limit(pixels, timed, few_steps)
     if "background" not in fields:
         fields["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
@@ -104,6 +107,7 @@ def settings_for(
         "scale_reg": weight,
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
+        "ensemble": MEMBERS if few_steps is not None and timed is not None else 1,
         "max_aspect": automatic_max_aspect(photos),
         "sh_divisor": automatic_sh_divisor(shown, steps),
         "model": model_for(capture, antialiased),
@@ -139,6 +143,7 @@ def memory_of(capture: Capture, settings: TrainSettings, views: TrainViews) -> R
         batch=settings.batch,
         sh_degree=settings.sh_degree,
         stereo=_begins_by_stereo(capture, settings),
+        ensemble=settings.ensemble if settings.trains_several else 1,
         machine=Machine.here(),
     )
 
@@ -177,11 +182,12 @@ def trainer_for(
         on_note(f"{sky.count:,} far splats are the sky: {sky.evidence}")
     limit = max(settings.max_splats - sky.count, 1)
     parameters = initial_parameters(points, colours, extent, limit=limit, seed=settings.seed)
-    trainer = Trainer(
+    kind = kind_of_trainer(settings, group, loss)
+    trainer = kind(
         views,
         with_sky(parameters, sky),
         extent,
-        settings,
+        settings if kind is EnsembleTrainer else replace(settings, ensemble=1),
         centre=centre,
         threads=threads,
         group=group,
@@ -285,7 +291,7 @@ def train(
     held_out, evaluation = train_views(capture.held_out), None
     if held_out:
         evaluation = evaluate(
-            trainer.splats.arrays,
+            trainer.scene.arrays,
             held_out,
             trainer.shown_settings,
             threads=threads,

@@ -23,13 +23,11 @@ from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
 from splatview.trainer.free_space import (
     FEW_OF,
-    GONE,
     LOOK_STEPS,
-    limit_sizes,
+    clear,
     passing,
     past_free_space,
     shown_by_few,
-    standing_before,
     worth_keeping,
 )
 from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
@@ -42,9 +40,9 @@ from splatview.trainer.sky import Sky, hold, restore
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
 from splatview.trainer.strategies.mcmc import need_of_reg
-from splatview.trainer.strategies.ops import keep, raise_sh_degree
+from splatview.trainer.strategies.ops import State, keep, raise_sh_degree
 from splatview.trainer.views import TrainView, TrainViews
-from splatview.trainer.withheld import GIVEN_BACK, SETTLED, Withheld
+from splatview.trainer.withheld import Withheld, watch
 
 KEPT = ("seed", "strategy", "background", "surround", "model", "exposure", "outliers", "withheld")
 """Settings that a run keeps from its first step to its last."""
@@ -98,11 +96,17 @@ class Trainer:
         self.splats = Splats(copied(parameters))
         self.optimizer = SelectiveAdam(self.splats, settings.rates(0.0, self.extent))
         self.counters = Counters()
+        self.first, self.begun = 0, 0.0
+        """Steps and seconds before the present scene: where a run trains several, see `ensemble`."""
+        self.members: list[Parameters] = []
+        """Scenes that are whole, where it trains several."""
+        self.taught: TrainViews | None = None
+        """Pictures of these that the present scene learns from besides."""
         self.clock = StageClock()
         """Milliseconds by stage since the start: those of the rasteriser, loss, autograd, adam, density."""
         _, strategy = STRATEGIES[settings.strategy]
         self.strategy: Strategy = strategy(self._local(settings))
-        self.state = self.strategy.initialize_state(self.splats, extent=self.extent, focal=views.focal)
+        self.state: State = self.strategy.initialize_state(self.splats, extent=self.extent, focal=views.focal)
         """What the strategy notes, and in "sky", where there is one, which splats are its: see `sky.hold`."""
         self.sky = sky
         """What was decided about a sky; None where nobody looked for one, as in a run that was resumed."""
@@ -131,10 +135,20 @@ class Trainer:
         )
 
     @property
+    def scene_progress(self) -> float:
+        """The share of the scene's training that is over, 0 to 1, by which the recipe goes."""
+        steps, seconds = self.counters.iteration - self.first, self.counters.seconds
+        return self.settings.progress(steps, seconds, self.begun or self.counters.prepared)
+
+    @property
     def progress(self) -> float:
         """The share of the run that is over, 0 to 1."""
-        counters = self.counters
-        return self.settings.progress(counters.iteration, counters.seconds, counters.prepared)
+        return self.scene_progress
+
+    @property
+    def scene(self) -> Splats:
+        """What the run has come to."""
+        return self.splats
 
     @property
     def shown_settings(self) -> RenderSettings:
@@ -144,7 +158,7 @@ class Trainer:
     @property
     def downscale(self) -> int:
         """The factor by which photos are smaller in the next step."""
-        progress, schedule = self.progress, self.settings.resolution
+        progress, schedule = self.scene_progress, self.settings.resolution
         if self.withheld.coarse_is_over:
             return 1
         if schedule is None:
@@ -154,7 +168,7 @@ class Trainer:
     @property
     def done(self) -> bool:
         """Whether the run is over."""
-        return self.progress >= 1
+        return self.scene_progress >= 1
 
     def change(self, **settings: Any) -> None:
         """Changes fields of the recipe, between two steps.
@@ -194,6 +208,9 @@ class Trainer:
 
     def crop(self, crops: Sequence[Crop]) -> int:
         """Takes out what the crops in force cut away, and returns how many that were. Raises as `delete`."""
+        return self._cropped(crops)
+
+    def _cropped(self, crops: Sequence[Crop]) -> int:
         return self._keep(cropped_in(self._about_centre(crops), self.splats.arrays.means))
 
     def add_cut(self, crops: Sequence[Crop]) -> int:
@@ -223,7 +240,7 @@ class Trainer:
         """A copy of the scene as it stands, in the world, which later steps leave alone. Positions about a
         centre are float64."""
         comments = ("Trained by splatview", *comments_for(self.shown_settings.model))
-        scene = self.splats.snapshot(comments=comments)
+        scene = self.scene.snapshot(comments=comments)
         return replace(scene, means=scene.means + self.centre) if self.centre.any() else scene
 
     def step(self, seconds: float | None = None) -> StepReport:
@@ -240,9 +257,9 @@ class Trainer:
         counters.seconds = self.group.agreed(counters.seconds if seconds is None else seconds)
         if counters.iteration == 0:
             counters.prepared = counters.seconds
-        progress = self.progress
+        progress = self.scene_progress
         raise_sh_degree(splats, optimizer, max(settings.sh_degree_at(progress), splats.sh_degree))
-        self._watch_withheld(progress)
+        watch(self, progress)
         self._decide_outliers(progress)
         self._decide_exposures(progress)
 
@@ -270,6 +287,7 @@ class Trainer:
             self._drop_unseen(progress)
             self._drop_passing()
         self._note_loss(loss)
+        self._end_step()
         if seconds is None:
             counters.seconds += time.perf_counter() - begun
         return StepReport(counters.iteration, loss, len(splats), self.progress)
@@ -284,7 +302,7 @@ class Trainer:
             before = [total.copy() for total in sums]
         try:
             if settings.batch == 1:
-                found = self._render_and_backprop(self.views.at(first, downscale), first)
+                found = self._render_and_backprop(self._view_at(first, downscale), first)
             else:
                 found = self._batch_backward(first, downscale, sums, before)
             self._note_differences()
@@ -304,7 +322,7 @@ class Trainer:
         group, photos = self.group, self.settings.batch
         batch = BatchSum(self.splats.parameters())
         for place in range(first + group.rank, first + photos, group.size):
-            info, loss = self._render_and_backprop(self.views.at(place, downscale), place)
+            info, loss = self._render_and_backprop(self._view_at(place, downscale), place)
             with self.clock.stage("batch"):
                 batch.add(info.pieces, loss)
         with self.clock.stage("batch"):
@@ -318,11 +336,20 @@ class Trainer:
             pieces, loss = batch.means(photos, group, self.threads)
         return Visibility(pieces, len(self.splats)), loss
 
+    def _view_at(self, place: int, factor: int = 1) -> TrainView:
+        """What a step looks at, by how many were looked at before."""
+        return self.views.at(place, factor)
+
+    @property
+    def _looked_at(self) -> list[TrainView]:
+        """All that steps look at."""
+        return self.views.taken
+
     def _render_and_backprop(self, view: TrainView, place: int = 0) -> tuple[Visibility, float]:
         """Adds the gradients by one photo to the parameters'; what the photo shows, and its loss. `place`:
         how many photos have been looked at before."""
         splats, settings, clock = SplatTensors(*self.splats.parameters()), self.settings, self.clock
-        progress, drawn_as = self.progress, self.render_settings
+        progress, drawn_as = self.scene_progress, self.render_settings
         logits, share = splats.opacity_logits, settings.dropout * self.need_of_reg * progress
         if share > 0:
             with clock.stage("drop"):
@@ -330,8 +357,8 @@ class Trainer:
                 if "sky" in self.state:
                     is_sky = torch.from_numpy(self.state["sky"] > 0)
                     logits = torch.where(is_sky, splats.opacity_logits, logits)
-        behind = None
-        if settings.surround is not None:
+        behind, is_photo = None, view.camera.name in self._rows
+        if settings.surround is not None and is_photo:
             drawn = surround_of_a_step(settings.surround, (settings.seed, place, 3))
             behind = torch.from_numpy(drawn.astype(self.picture_dtype))
         image, info = rasterize(
@@ -345,7 +372,7 @@ class Trainer:
             threads=self.threads,
         )
         exposure = None
-        if self.exposures.is_on:
+        if self.exposures.is_on and is_photo:
             with clock.stage("exposure"):
                 exposure = torch.from_numpy(self.exposures.of(view.camera.name)).requires_grad_()
                 cut_out = None if view.alpha is None else settings.background
@@ -424,8 +451,8 @@ class Trainer:
 
     @property
     def _rounds(self) -> float:
-        """How often each photo has been looked at."""
-        return self.counters.iteration * self.settings.batch / len(self.views)
+        """How often each photo has been looked at for the present scene."""
+        return (self.counters.iteration - self.first) * self.settings.batch / len(self.views)
 
     def leave_out(self, rows: np.ndarray) -> None:
         """From now on these photos, (P,) bool, are not trained on, and all others are.
@@ -451,34 +478,6 @@ class Trainer:
             self.leave_out(outliers.left_out)
         elif outliers.is_missed(progress):
             outliers.is_decided = True
-
-    def _watch_withheld(self, progress: float) -> None:
-        """Measures what is withheld now and then, ends the coarse stage when it teaches no more, and has the
-        run settle when full size does not either. See `withheld`."""
-        withheld, settings = self.withheld, self.settings
-        if withheld.given_back:
-            return
-        if progress >= GIVEN_BACK:
-            self._give_back()
-        elif withheld.is_due(self.counters.iteration * settings.batch, settings.batch):
-            with self.clock.stage("withheld"):
-                exposure_of = self.exposures.of if self.exposures.is_on else None
-                scene = self.splats.arrays, self.views.all, self.render_settings
-                error = np.array([withheld.error(*scene, exposure_of, self.threads)])
-            self.group.add_up([error])  # processes must agree
-            factor = self.downscale
-            if withheld.teaches(float(error[0]) / self.group.size, factor):
-                return
-            if factor > 1:
-                withheld.coarse_is_over = True
-            else:
-                withheld.settled_at = self.counters.iteration
-                self.change(iterations=math.ceil(self.counters.iteration / SETTLED))
-                self._give_back()
-
-    def _give_back(self) -> None:
-        self.withheld.given_back = True
-        self.views.withhold(None)
 
     def measure_exposures(self) -> None:
         """Compares photos where splats begin, if these are places of the scene: so that what is decided about
@@ -541,24 +540,19 @@ class Trainer:
         settings, first = self.settings, (self.counters.iteration - 1) * self.settings.batch
         if self.counters.iteration % CLEAR_STEPS:
             return
-        arrays = self.splats.arrays
-        for view in (self.views.at(place) for place in range(first, first + settings.batch)):
-            if settings.max_size < math.inf:
-                limit_sizes(arrays, info.pieces, view.camera, settings.max_size, self.threads)
-            depth = settings.free_space * self.nearest_depths[self._rows[view.camera.name]]
-            if depth > 0:
-                for indices in info.pieces:
-                    wrong = standing_before(arrays.means, indices, view.camera, depth)
-                    arrays.opacity_logits[wrong] = GONE
+        for view in (self._view_at(place) for place in range(first, first + settings.batch)):
+            row = self._rows.get(view.camera.name)  # none of what is no photo
+            depth = 0.0 if row is None else settings.free_space * self.nearest_depths[row]
+            clear(self.splats.arrays, info.pieces, view.camera, depth, settings.max_size, self.threads)
 
     def _drop_unseen(self, progress: float) -> None:
         """Takes out what no photo shows when density control ends, and as the run does, but for the sky's."""
         settings = self.settings
         ended = progress >= settings.refine_until
-        if self.done or (ended and not self.state.get("unseen_dropped")):
+        if self.scene_progress >= 1 or (ended and not self.state.get("unseen_dropped")):
             kept = worth_keeping(
                 self.splats.snapshot(),
-                self.views.taken,
+                self._looked_at,
                 self.render_settings,
                 least_shown=settings.least_shown,
                 least_visibility=settings.least_visibility,
@@ -574,7 +568,7 @@ class Trainer:
         """Takes out what one photo alone shows before what others do, at the end of the run; but for the sky.
         Until then it explains what no other splat should. See `free_space`."""
         settings = self.settings
-        if self.done and settings.most_of_one < 1 and self.need_of_reg == 1:
+        if self.scene_progress >= 1 and settings.most_of_one < 1 and self.need_of_reg == 1:
             wrong = passing(
                 self.splats.snapshot(),
                 self.views.taken,
@@ -587,6 +581,13 @@ class Trainer:
             if self.passed:
                 self._keep(~wrong)
 
+    def _end_step(self) -> None:
+        """What is due when a step is over."""
+
+    def scenes_state(self) -> dict[str, np.ndarray]:
+        """Arrays by name of scenes before this one, for checkpoints."""
+        return {}
+
     def _cut(self) -> None:
         """Takes out what has come to where the recipe cuts, now and then."""
         iteration = self.counters.iteration
@@ -594,4 +595,4 @@ class Trainer:
             for crops in self.settings.cut:
                 # A run is not ended by the last splats' moving out: they stay until others are inside.
                 with contextlib.suppress(InputError):
-                    self.crop(crops)
+                    self._cropped(crops)

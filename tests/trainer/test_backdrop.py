@@ -227,7 +227,8 @@ def test_what_many_photos_show_has_no_surround() -> None:
 
 def test_few_photos_that_say_what_is_empty_take_more_steps() -> None:
     everywhere, transparent = capture_of(indoors, count=7), capture_of(indoors, alpha=True, count=7)
-    steps = automatic_steps(7, everywhere=True)
+    views = TrainViews(train_views(everywhere.train), 0)
+    steps = automatic_steps(7, everywhere=True, shown=views.photos_of_a_place(everywhere.points))
     for fields in ({}, {"background": (0.0, 0.0, 0.0)}, {"surround": None}):
         assert trainer_of(everywhere, iterations=None, **fields).settings.iterations == steps
     assert trainer_of(transparent, iterations=None).settings.iterations == automatic_steps(7) != steps

@@ -22,6 +22,7 @@ from splatview.trainer.effects import (
     OUTLIERS,
     PASSING,
     SCALE_RATIO,
+    SCENES,
     SKY,
     SURROUND,
     Antialiased,
@@ -112,6 +113,7 @@ def test_each_effect_names_its_evidence():
         OUTLIERS,
         PASSING,
         FROZEN,
+        SCENES,
     }
     assert "12.50% of all pixels" in rich["masks"][1]
     assert "3 of 4 photos have a lens that moves points by up to 12.3 px" in rich["lens distortion"][1]

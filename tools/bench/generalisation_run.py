@@ -26,6 +26,9 @@ STEP_MS, KILOPIXEL_MS, THOUSAND_SPLATS_MS = 1.0, 0.2, 0.35
 ONCE_MS = 0.1
 """Of the price of a thousand splats, what a step pays once for all its photos: Adam and density control."""
 
+DRAWN = 3
+"""Pictures that are drawn in the time of a step."""
+
 START = 3.0
 """Seconds before the first step."""
 
@@ -203,13 +206,17 @@ def main() -> None:
         )
 
     curve: list[tuple[float, int, float]] = []
-    pixels, used, last = views.pixel_count / len(views), START, 0.0
+    pixels, used, last, pictures = views.pixel_count / len(views), START, 0.0, 0
     with kernel_threads_only():
         while not trainer.done and trainer.progress < options.until:
             known = hasattr(trainer, "downscale")
             factor = trainer.downscale if known else settings.downscale_at(trainer.progress)
             used += step_seconds(pixels / factor**2, len(trainer.splats), getattr(settings, "batch", 1))
             trainer.step(used)
+            taught = getattr(trainer, "taught", None)
+            if taught is not None and not pictures:
+                pictures = len(taught) * len(trainer.members)
+                used += pictures * step_seconds(pixels, settings.max_splats) / DRAWN
             if options.curve and used - last >= options.curve:
                 curve.append((round(used, 1), trainer.counters.iteration, round(score().psnr, 3)))
                 last = used
@@ -245,6 +252,7 @@ def main() -> None:
         "iteration": trainer.counters.iteration,
         "gaussians": len(trainer.splats),
         "batch": getattr(settings, "batch", 1),
+        "scenes": len(getattr(trainer, "members", ())) + bool(pictures),
         "seconds": used,
         "exposure": trainer.exposures.is_on,
         "evidence": str(trainer.exposures.evidence),

@@ -33,6 +33,7 @@ from splatview.trainer.memory import (
 from splatview.trainer.photo_size import downscale_for
 from splatview.trainer.settings import (
     LEAST_LIMIT,
+    MEMBERS,
     TrainSettings,
     automatic_batch,
     automatic_limit,
@@ -271,6 +272,7 @@ class TrainingStart(Feature):
             resolution=TrainSettings.resolution,
             batch=automatic_batch(minutes, steps, self.machine.threads),
             stereo=begins_by_stereo(TrainSettings.start, points=points, pixels=sizes.largest),
+            ensemble=MEMBERS if steps is not None and minutes is not None else 1,
             machine=self.machine,
             window=True,
         )

@@ -1,0 +1,319 @@
+"""Several scenes of few photos, and one that learns from them: trainer.ensemble."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from splatview.raster import Parameters, Workspace, draw_frame
+from splatview.scene import look_at
+from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
+from splatview.trainer.distributed import Alone
+from splatview.trainer.effects import SCENES, capture_effects
+from splatview.trainer.ensemble import OF_STUDENT, EnsembleTrainer, cameras_between, kind_of_trainer
+from splatview.trainer.evaluate import evaluate
+from splatview.trainer.memory import Machine, PhotoSizes, run_memory
+from splatview.trainer.plugin import LossPlugin
+from splatview.trainer.run import Outputs, TrainingRun
+from splatview.trainer.settings import PICTURES, TrainSettings, pictures_taught
+from splatview.trainer.setup import settings_for
+from splatview.trainer.trainer import Trainer
+from splatview.trainer.views import TrainView, TrainViews
+from tests.trainer.conftest import EXTENT, capture_of
+
+STEPS = 40
+
+Make = Callable[..., EnsembleTrainer]
+
+
+@pytest.fixture
+def make(views: list[TrainView], start: Parameters) -> Make:
+    """`make(minutes=.., **settings)`: a trainer of six photos."""
+
+    def made(kind: type[Trainer] = EnsembleTrainer, **settings: Any) -> Any:
+        options = {"iterations": STEPS, "minutes": 10.0, "ensemble": 3, "max_splats": 200}
+        options |= {"exposure": "off"} | settings
+        chosen = TrainSettings(background=(0.2, 0.2, 0.2), surround=(0.2, 0.2, 0.2), dropout=0.1, **options)
+        return kind(TrainViews(views[::3], 0), start, EXTENT, chosen, threads=2)
+
+    return made
+
+
+def run(trainer: Trainer, until: Callable[[], object], each: float = 0.1) -> None:
+    """Steps of so many seconds until something holds."""
+    while not until():
+        trainer.step(trainer.counters.seconds + each)
+
+
+def whole(trainer: EnsembleTrainer, count: int) -> None:
+    run(trainer, lambda: len(trainer.members) == count)
+
+
+def assert_same(one: Parameters, other: Parameters) -> None:
+    for a, b in zip(one, other, strict=True):
+        assert np.array_equal(a, b)
+
+
+def test_three_scenes_and_one_that_learns_from_them(make: Make) -> None:
+    trainer = make()
+    before, recipe = trainer.splats.ids, trainer.settings
+    for count in (1, 2):
+        whole(trainer, count)
+        assert trainer.counters.iteration == count * STEPS and not trainer.done and trainer.taught is None
+        assert trainer.scene_progress == 0 and 0 < trainer.progress < 1
+        assert len(trainer.splats) == len(before) and not set(trainer.splats.ids) & set(before)
+    assert trainer.settings == recipe
+    whole(trainer, 3)
+    assert trainer.taught is not None and trainer.settings == replace(recipe, **OF_STUDENT)
+    run(trainer, lambda: trainer.done)
+    assert trainer.counters.iteration == 4 * STEPS and trainer.progress == 1
+    assert trainer.scene is trainer.splats and len(trainer.members) == 3
+
+
+def test_a_scene_that_follows_is_as_one_of_its_own(make: Make) -> None:
+    """Nothing of the scene before is left in it, but for the order of the photos."""
+    trainer = make()
+    whole(trainer, 1)
+    alone = make(Trainer, ensemble=1)
+    alone.counters.iteration = alone.first = alone.state["refined_at"] = STEPS
+    alone.counters.seconds = alone.begun = trainer.begun
+    whole(trainer, 2)
+    alone.outliers.is_decided = True
+    run(alone, lambda: alone.done)
+    assert_same(trainer.members[1], alone.splats.arrays)
+    assert not np.array_equal(trainer.members[0].means[:9], trainer.members[1].means[:9])
+
+
+@pytest.mark.parametrize("minutes", [0.05, 0.1])
+def test_without_time_one_scene_is_all(make: Make, minutes: float) -> None:
+    trainer, alone = make(minutes=minutes), make(Trainer, minutes=minutes, ensemble=1)
+    for one in (trainer, alone):
+        run(one, lambda one=one: one.done)
+        assert one.counters.seconds <= 60 * minutes + 0.1
+    assert_same(trainer.splats.arrays, alone.splats.arrays)
+    assert trainer.scene is trainer.splats and trainer.taught is None
+
+
+def test_what_was_begun_is_whole_when_the_minutes_end(make: Make) -> None:
+    """Steps that become slower leave less time than was thought: the last scene still settles."""
+    trainer = make(minutes=0.3)  # 18 s, of which a scene takes 4
+    whole(trainer, 3)
+    run(trainer, lambda: trainer.done, each=0.4)
+    assert 17.5 < trainer.counters.seconds < 18.5
+    assert trainer.counters.iteration < 4 * STEPS and trainer.scene_progress == 1
+
+    trainer = make(minutes=0.3)
+    whole(trainer, 1)
+    run(trainer, lambda: trainer.done, each=0.4)  # the second ends with the minutes, and none follows
+    assert len(trainer.members) == 2 and trainer.taught is None and trainer.scene is trainer.splats
+
+
+def test_the_last_whole_scene_is_shown_and_saved_until_the_end(make: Make) -> None:
+    trainer = make()
+    whole(trainer, 1)
+    first = trainer.snapshot()
+    ids = trainer.scene.ids
+    trainer.step(trainer.counters.seconds)
+    assert np.array_equal(trainer.snapshot().means, first.means) and trainer.scene.ids is ids
+    assert_same(trainer.scene.arrays, trainer.members[0])
+    whole(trainer, 3)
+    trainer.step(trainer.counters.seconds)
+    assert_same(trainer.scene.arrays, trainer.members[2])
+
+
+def test_an_edit_keeps_the_scene_that_is_seen(make: Make) -> None:
+    trainer = make()
+    whole(trainer, 2)
+    trainer.step(trainer.counters.seconds + 0.1)
+    shown = trainer.scene
+    gone = shown.ids[::7]
+    kept = shown.arrays.means[~np.isin(shown.ids, gone)].copy()
+    assert trainer.delete(gone) == len(gone)
+    assert trainer.done and trainer.scene is trainer.splats
+    assert np.array_equal(trainer.scene.arrays.means, kept)
+
+    trainer = make()
+    trainer.delete(trainer.splats.ids[:3])
+    run(trainer, lambda: trainer.done)
+    assert trainer.counters.iteration == STEPS  # of a scene that was edited no other is made
+
+
+@pytest.mark.parametrize("steps", [STEPS // 2, STEPS + 7, 3 * STEPS + 11])
+def test_a_resumed_run_goes_on_bit_for_bit(make: Make, tmp_path: Path, steps: int) -> None:
+    path = tmp_path / "run.safetensors"
+    straight, part = make(), make()
+    run(part, lambda: part.counters.iteration == steps)
+    save_checkpoint(part, path)
+    checkpoint = load_checkpoint(path)
+    resumed = EnsembleTrainer(
+        part.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2
+    )
+    restore(resumed, checkpoint)
+    assert_same(resumed.scene.arrays, part.scene.arrays)
+    for one in (straight, resumed):
+        run(one, lambda one=one: one.done)
+    assert straight.counters.iteration == resumed.counters.iteration == 4 * STEPS
+    assert_same(straight.splats.arrays, resumed.splats.arrays)
+
+
+def test_a_run_resumed_for_other_steps_trains_one_scene(make: Make, tmp_path: Path) -> None:
+    path = tmp_path / "run.safetensors"
+    trainer = make()
+    run(trainer, lambda: trainer.done)
+    save_checkpoint(trainer, path)
+    checkpoint = load_checkpoint(path)
+    settings = replace(checkpoint.settings, iterations=4 * STEPS + 9, minutes=None)
+    kind = kind_of_trainer(settings, None, None)
+    resumed = kind(trainer.views, checkpoint.parameters, checkpoint.extent, settings, threads=2)
+    restore(resumed, checkpoint)
+    assert_same(resumed.scene.arrays, trainer.scene.arrays)
+    run(resumed, lambda: resumed.done)
+    assert resumed.counters.iteration == 4 * STEPS + 9
+
+
+def test_pictures_are_the_mean_of_what_scenes_show(make: Make) -> None:
+    trainer = make()
+    whole(trainer, 3)
+    taught = trainer.taught
+    assert taught is not None and len(taught) == PICTURES == pictures_taught(6, 48 * 40)
+    for view in taught.all[::40]:
+        drawn = [
+            draw_frame(member, view.camera, trainer.shown_settings, Workspace()).image[..., :3]
+            for member in trainer.members
+        ]
+        mean = np.clip(drawn, 0, 1).mean(axis=0)
+        assert np.abs(view.pixels / 255 - mean).max() <= 0.5 / 255 + 1e-6 and view.alpha is None
+    looked = [trainer._view_at(place).camera.name for place in range(400)]
+    share = sum(name.startswith("between") for name in looked) / len(looked)
+    assert 0.72 < share < 0.88
+    assert {view.camera.name for view in trainer.views.all} < set(looked)
+
+
+def test_of_transparent_photos_pictures_are_transparent(make: Make) -> None:
+    trainer = make()
+    alpha = np.full((40, 48), 255, np.uint8)
+    trainer.views = trainer.views.changed([replace(view, alpha=alpha) for view in trainer.views.all])
+    whole(trainer, 3)
+    assert trainer.taught is not None
+    for view in trainer.taught.all[::50]:
+        drawn = [
+            draw_frame(m, view.camera, trainer.shown_settings, Workspace()).image for m in trainer.members
+        ]
+        assert view.alpha is not None
+        assert np.abs(view.alpha / 255 - np.mean(drawn, axis=0)[..., 3]).max() <= 0.5 / 255 + 1e-6
+
+
+def test_the_last_scene_is_better_than_those_that_teach_it(make: Make, views: list[TrainView]) -> None:
+    trainer = make(iterations=300, minutes=30.0)
+    run(trainer, lambda: trainer.done)
+    held_out = [view for place, view in enumerate(views) if place % 3]
+    scores = [
+        evaluate(scene, held_out, trainer.render_settings).psnr
+        for scene in (*trainer.members, trainer.splats.arrays)
+    ]
+    assert scores[-1] > max(scores[:-1]), scores
+
+
+def test_cameras_lie_between_neighbours() -> None:
+    eyes = [(np.cos(angle), 0.2, np.sin(angle)) for angle in np.linspace(0, 2.5, 8)]
+    cameras = [look_at(eye, (0, 0, 0), width=60, height=40) for eye in eyes]
+    found = cameras_between(cameras, 200, seed=3)
+    assert len({camera.name for camera in found}) == 200
+    middles, around = np.array(eyes), np.array([camera.eye for camera in found])
+    step = float(np.linalg.norm(middles[0] - middles[1]))
+    nearest = np.linalg.norm(around[:, None] - middles, axis=-1).min(axis=1)
+    assert 0.2 * step < np.median(nearest) < step and nearest.max() < 2.5 * step
+    for camera in found:
+        towards = -camera.eye / np.linalg.norm(camera.eye)
+        assert camera.R_camera_world[2] @ towards > 0.9
+        assert (camera.width, camera.height, camera.fx) == (60, 40, cameras[0].fx)
+    for one, other in zip(found, cameras_between(cameras, 200, seed=3), strict=True):
+        assert np.array_equal(one.world_to_camera, other.world_to_camera)
+
+
+def test_cameras_at_one_place_stay_there() -> None:
+    turned = [look_at((1, 2, 3), target, width=60, height=40) for target in ((0, 0, 0), (1, 0, 0), (0, 0, 1))]
+    for camera in cameras_between(turned, 20, seed=0):
+        assert np.allclose(camera.eye, (1, 2, 3))
+
+
+def test_of_two_photos_there_is_one_scene(make: Make, views: list[TrainView], start: Parameters) -> None:
+    trainer = EnsembleTrainer(TrainViews(views[:2], 0), start, EXTENT, make().settings, threads=2)
+    run(trainer, lambda: trainer.done)
+    assert trainer.counters.iteration == STEPS
+
+
+class Pair(Alone):
+    size = 2
+
+
+def test_who_trains_several(make: Make) -> None:
+    settings = make().settings
+    assert (
+        kind_of_trainer(settings, Alone(), None) is kind_of_trainer(settings, None, None) is EnsembleTrainer
+    )
+    assert kind_of_trainer(settings, Pair(), None) is Trainer
+    assert kind_of_trainer(settings, None, LossPlugin(lambda step: step.photo_loss)) is Trainer
+    for fields in ({"minutes": None}, {"iterations": None}, {"ensemble": 1}, {"withheld": 0.1}):
+        assert kind_of_trainer(replace(settings, **fields), None, None) is Trainer
+    with pytest.raises(ValueError, match="ensemble must be at least 1"):
+        replace(settings, ensemble=0)
+
+
+def test_the_recipe_has_several_where_photos_are_few(views: list[TrainView], points: Any) -> None:
+    def chosen(count: int, **fields: Any) -> TrainSettings:
+        some = [views[place % len(views)] for place in range(count)]
+        return settings_for(capture_of(some, *points), TrainViews(some, 0), **fields)
+
+    assert chosen(6, minutes=5.0).trains_several and chosen(6, minutes=5.0).ensemble == 3
+    for settings in (
+        chosen(6),
+        chosen(6, iterations=100),
+        chosen(6, iterations=100, minutes=5.0),
+        chosen(60, minutes=5.0),
+        chosen(6, minutes=5.0, ensemble=1),
+    ):
+        assert not settings.trains_several
+
+
+def test_a_run_says_what_it_does(make: Make, tmp_path: Path, views: list[TrainView], points: Any) -> None:
+    trainer, notes = make(iterations=15), []
+    capture = capture_of(views[::3], *points)
+    effects = capture_effects(capture, trainer.settings, "auto")
+    effect = next(one for one in effects if one.name == SCENES)
+    assert effect.on and "15 steps end a scene" in effect.why
+    outputs = Outputs(
+        scene=tmp_path / "a.ply", checkpoint=tmp_path / "a.safetensors", metrics=None, pictures=tmp_path / "p"
+    )
+    going = TrainingRun(
+        trainer, views[1:3], outputs, started=time.perf_counter(), effects=effects, on_note=notes.append
+    )
+    while len(trainer.members) < 2:
+        going.step()
+    shown = going.evaluate().psnr
+    assert shown == pytest.approx(
+        evaluate(trainer.members[1], views[1:3], trainer.shown_settings, threads=2).psnr, abs=1e-4
+    )
+    assert going.run()
+    told = [note for note in notes if note.startswith(SCENES)]
+    assert len(told) == 3 and "another one" in told[0] and "pictures of all 3" in told[2]
+    effect = next(one for one in going.effects if one.name == SCENES)
+    assert effect.on and "3 from the same photos" in effect.why
+
+
+def test_its_memory_is_stated() -> None:
+    sizes = PhotoSizes(pixels=10 * 10**6, trained=8 * 10**6, largest=10**6, stored=10**6)
+    machine = Machine(left=10**10, threads=2, compiles=False)
+    one, several = (
+        run_memory(sizes, resolution=((0.3, 2),), ensemble=count, machine=machine) for count in (1, 3)
+    )
+    taught = pictures_taught(8, 10**6)
+    assert 16 <= taught < PICTURES
+    assert several.photos - one.photos == pytest.approx(4 * taught * 10**6 * 1.25)
+    assert several.splat - one.splat == pytest.approx(4 * 4 * 59)
