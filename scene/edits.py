@@ -207,6 +207,11 @@ class Crop:
             return np.einsum("ni,ni->n", own, own) <= 1
 
 
+def crops_about(crops: Sequence[Crop], origin: np.ndarray) -> tuple[Crop, ...]:
+    """The same in a world whose origin is at `origin` (3,) of this one."""
+    return tuple(replace(crop, centre=tuple((np.array(crop.centre) - origin).tolist())) for crop in crops)
+
+
 def cropped_in(crops: tuple[Crop, ...], points: np.ndarray) -> np.ndarray:
     """Which of `points` (N, 3) the crops in force leave: (N,) bool.
 

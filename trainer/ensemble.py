@@ -104,10 +104,6 @@ class EnsembleTrainer(Trainer):
                 return self.taught.sized(factor)[rng.integers(len(self.taught))]
         return super()._view_at(place, factor)
 
-    @property
-    def _looked_at(self) -> list[TrainView]:
-        return super()._looked_at + ([] if self.taught is None else self.taught.all)
-
     def _leave_frozen(self, info: Visibility) -> None:
         if self.taught is None:
             super()._leave_frozen(info)

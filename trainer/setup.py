@@ -196,7 +196,8 @@ def trainer_for(
     )
     if not (capture.guessed and points is capture.points):  # random points say nothing
         trainer.nearest_depths = nearest_depths(points, views.all)
-        trainer.measure_exposures()
+        # Where splats begin, so that what is decided does not go by how long the run is.
+        trainer.exposures.measure(trainer.places, views.sized(trainer.downscale), settings.background)
     return trainer
 
 

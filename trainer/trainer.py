@@ -15,7 +15,7 @@ import torch
 from splatview.raster import EARLY_STOP, Parameters, Workspace, available_threads
 from splatview.raster.frame import StageClock
 from splatview.scene import Gaussians, InputError, RenderSettings
-from splatview.scene.edits import Crop, cropped_in
+from splatview.scene.edits import Crop, cropped_in, crops_about
 from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.backdrop import surround_of_a_step
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
@@ -42,7 +42,7 @@ from splatview.trainer.strategies import STRATEGIES, Strategy
 from splatview.trainer.strategies.mcmc import need_of_reg
 from splatview.trainer.strategies.ops import State, keep, raise_sh_degree
 from splatview.trainer.views import TrainView, TrainViews
-from splatview.trainer.withheld import Withheld, watch
+from splatview.trainer.withheld import SETTLED, Withheld
 
 KEPT = ("seed", "strategy", "background", "surround", "model", "exposure", "outliers", "withheld")
 """Settings that a run keeps from its first step to its last."""
@@ -186,14 +186,7 @@ class Trainer:
 
     def _local(self, settings: TrainSettings) -> TrainSettings:
         """The settings with their regions relative to the centre."""
-        return replace(settings, no_growth=self._about_centre(settings.no_growth))
-
-    def _about_centre(self, crops: Sequence[Crop]) -> tuple[Crop, ...]:
-        x, y, z = self.centre.tolist()
-        return tuple(
-            replace(crop, centre=(crop.centre[0] - x, crop.centre[1] - y, crop.centre[2] - z))
-            for crop in crops
-        )
+        return replace(settings, no_growth=crops_about(settings.no_growth, self.centre))
 
     def delete(self, ids: np.ndarray) -> int:
         """Takes out the splats of these numbers, see `Splats.ids`; those that are gone already do not matter.
@@ -211,7 +204,7 @@ class Trainer:
         return self._cropped(crops)
 
     def _cropped(self, crops: Sequence[Crop]) -> int:
-        return self._keep(cropped_in(self._about_centre(crops), self.splats.arrays.means))
+        return self._keep(cropped_in(crops_about(crops, self.centre), self.splats.arrays.means))
 
     def add_cut(self, crops: Sequence[Crop]) -> int:
         """As `crop`, and from now on what comes to where they cut is soon taken out too.
@@ -259,7 +252,7 @@ class Trainer:
             counters.prepared = counters.seconds
         progress = self.scene_progress
         raise_sh_degree(splats, optimizer, max(settings.sh_degree_at(progress), splats.sh_degree))
-        watch(self, progress)
+        self._watch_withheld(progress)
         self._decide_outliers(progress)
         self._decide_exposures(progress)
 
@@ -339,11 +332,6 @@ class Trainer:
     def _view_at(self, place: int, factor: int = 1) -> TrainView:
         """What a step looks at, by how many were looked at before."""
         return self.views.at(place, factor)
-
-    @property
-    def _looked_at(self) -> list[TrainView]:
-        """All that steps look at."""
-        return self.views.taken
 
     def _render_and_backprop(self, view: TrainView, place: int = 0) -> tuple[Visibility, float]:
         """Adds the gradients by one photo to the parameters'; what the photo shows, and its loss. `place`:
@@ -479,13 +467,25 @@ class Trainer:
         elif outliers.is_missed(progress):
             outliers.is_decided = True
 
-    def measure_exposures(self) -> None:
-        """Compares photos where splats begin, if these are places of the scene: so that what is decided about
-        exposures does not go by how long the run is."""
-        self.exposures.measure(self._places, self.views.sized(self.downscale), self.settings.background)
+    def _watch_withheld(self, progress: float) -> None:
+        """Measures what is withheld now and then, and does what it tells. See `withheld`."""
+        step, batch = self.counters.iteration, self.settings.batch
+        told = self.withheld.look(progress, step, batch, self.downscale, self._withheld_error)
+        if told == "settle":
+            self.change(iterations=math.ceil(step / SETTLED))
+        if told is not None:
+            self.views.withhold(None)
+
+    def _withheld_error(self) -> float:
+        with self.clock.stage("withheld"):
+            exposure_of = self.exposures.of if self.exposures.is_on else None
+            scene = self.splats.arrays, self.views.all, self.render_settings
+            error = np.array([self.withheld.error(*scene, exposure_of, self.threads)])
+        self.group.add_up([error])  # processes must agree
+        return float(error[0]) / self.group.size
 
     @property
-    def _places(self) -> np.ndarray:
+    def places(self) -> np.ndarray:
         """(N, 3): means but those of a sky, which is not the same from all sides, nor behind each of its
         splats."""
         means = self.splats.arrays.means
@@ -495,7 +495,7 @@ class Trainer:
         if self.exposures.is_due(progress, self._rounds):
             views = self.views.sized(self.downscale)
             self.exposures.decide(
-                self.splats.arrays, views, self.render_settings, Workspace(), self.threads, self._places
+                self.splats.arrays, views, self.render_settings, Workspace(), self.threads, self.places
             )
 
     def _check_seen(self, info: Visibility) -> None:
@@ -552,7 +552,7 @@ class Trainer:
         if self.scene_progress >= 1 or (ended and not self.state.get("unseen_dropped")):
             kept = worth_keeping(
                 self.splats.snapshot(),
-                self._looked_at,
+                self.views.taken + ([] if self.taught is None else self.taught.all),
                 self.render_settings,
                 least_shown=settings.least_shown,
                 least_visibility=settings.least_visibility,

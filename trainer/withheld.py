@@ -20,16 +20,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
 from splatview.trainer.views import TrainView
-
-if TYPE_CHECKING:
-    from splatview.trainer.trainer import Trainer
 
 BLOCK = 32
 """px, side of a square."""
@@ -107,6 +104,25 @@ class Withheld:
             return self.checks_in_full < 1 or not error > FULL_RISE * least
         return not error > COARSE_RISE * least
 
+    def look(
+        self, progress: float, step: int, batch: int, factor: int, error: Callable[[], float]
+    ) -> Literal["whole", "settle"] | None:
+        """Before a step, at a share of the run and with photos smaller by a factor: whether photos are whole
+        from here on, and whether the run is to settle besides, as full size teaches no more. Measures the
+        `error` now and then, and ends the coarse stage when it becomes worse."""
+        if self.given_back:
+            return None
+        if progress >= GIVEN_BACK:
+            self.given_back = True
+            return "whole"
+        if not self.is_due(step * batch, batch) or self.teaches(error(), factor):
+            return None
+        if factor > 1:
+            self.coarse_is_over = True
+            return None
+        self.settled_at, self.given_back = step, True
+        return "settle"
+
     def state(self) -> dict[str, np.ndarray]:
         """Arrays that `restore` takes."""
         flags = self.given_back, self.coarse_is_over, self.checks_in_full, self.settled_at, self.least
@@ -119,34 +135,3 @@ class Withheld:
             raise ValueError("what it has learnt from withheld blocks is damaged")
         self.given_back, self.coarse_is_over = bool(values[0]), bool(values[1])
         self.checks_in_full, self.settled_at, self.least = int(values[2]), int(values[3]), float(values[4])
-
-
-def watch(trainer: Trainer, progress: float) -> None:
-    """Before a step at a share of the run: measures what is withheld now and then, ends the coarse stage when
-    it teaches no more, and has the run settle when full size does not either."""
-    withheld, settings = trainer.withheld, trainer.settings
-    if withheld.given_back:
-        return
-    if progress >= GIVEN_BACK:
-        give_back(trainer)
-    elif withheld.is_due(trainer.counters.iteration * settings.batch, settings.batch):
-        with trainer.clock.stage("withheld"):
-            exposure_of = trainer.exposures.of if trainer.exposures.is_on else None
-            scene = trainer.splats.arrays, trainer.views.all, trainer.render_settings
-            error = np.array([withheld.error(*scene, exposure_of, trainer.threads)])
-        trainer.group.add_up([error])  # processes must agree
-        factor = trainer.downscale
-        if withheld.teaches(float(error[0]) / trainer.group.size, factor):
-            return
-        if factor > 1:
-            withheld.coarse_is_over = True
-        else:
-            withheld.settled_at = trainer.counters.iteration
-            trainer.change(iterations=math.ceil(trainer.counters.iteration / SETTLED))
-            give_back(trainer)
-
-
-def give_back(trainer: Trainer) -> None:
-    """From now on photos are whole."""
-    trainer.withheld.given_back = True
-    trainer.views.withhold(None)
