@@ -5,7 +5,7 @@ held-out photos, and the mean of their pictures is better than any of them, for 
 is not alike. Such a run is also over long before its minutes are. So, where there is time, it begins anew, up
 to `settings.MEMBERS` times, and then once more with photos and with pictures: the mean of what the scenes
 before show between the photos' cameras (ensembles: Lakshminarayanan et al. 2017, distillation: Hinton et al.
-2015). So many pictures need no rules for few photos. Until the last scene is whole, the one before is the
+2015). So many pictures need no rules for few photos. Until the last scene is whole, the first one is the
 run's.
 """
 
@@ -61,7 +61,7 @@ class EnsembleTrainer(Trainer):
         self.initial, self.initial_sky = copied(parameters), self.state.get("sky", np.empty(0)).copy()
         """What each scene begins with."""
         self.finished: Splats | None = None
-        """The last of these while another scene is trained."""
+        """The first scene that is whole, while others are trained, of which the last alone is better."""
         self.is_last = not self.settings.trains_several
         """Whether no scene follows the present one."""
 
@@ -74,7 +74,7 @@ class EnsembleTrainer(Trainer):
 
     @property
     def scene(self) -> Splats:
-        """The splats in training, or the last scene that is whole, as long as there is one."""
+        """The splats in training, or the scene that is whole, while others are trained."""
         return self.splats if self.finished is None else self.finished
 
     @property
@@ -90,7 +90,8 @@ class EnsembleTrainer(Trainer):
         return super().crop(crops)
 
     def _stay(self) -> None:
-        """The scene that is shown is the last one, and over if it was whole: someone edits it."""
+        """The scene that is shown is the last one, and whole if it was: there is no time for another, or
+        someone edits it."""
         self.is_last = True
         if self.finished is not None:
             self._put(self.finished.arrays, self.finished.ids)
@@ -121,9 +122,10 @@ class EnsembleTrainer(Trainer):
         another = several and len(self.members) < self.settings.ensemble and self._has_time_for(2)
         self.is_last = not another
         if not another and (len(self.members) < 2 or not self._has_time_for(1)):
-            self.finished = None
+            self._stay()
             return
-        self.finished = Splats(copied(self.splats.arrays), self.splats.ids)
+        if self.finished is None:
+            self.finished = Splats(copied(self.splats.arrays), self.splats.ids)
         if not another:
             self._teach()
             self.change(**OF_STUDENT)
@@ -189,7 +191,7 @@ class EnsembleTrainer(Trainer):
         self.initial, self.initial_sky = scenes[0], state.get("sky", np.empty(0))
         self.members = scenes[1:]
         if goes_on:
-            self.finished = Splats(copied(self.members[-1]))
+            self.finished = Splats(copied(self.members[0]))
         if teaches:
             self._teach()
 

@@ -419,8 +419,8 @@ class TrainingRun:
             self.effects = with_scenes(self.effects, count, taught=True)
             follows = f"a last one learns from photos and from {len(taught)} pictures of all {count}"
         self.on_note(
-            f"{SCENES}: scene {count} is whole at step {trainer.counters.iteration:,}, and shown and saved"
-            f" until the last one is; {follows}"
+            f"{SCENES}: scene {count} is done at step {trainer.counters.iteration:,}; {follows}; until that"
+            " is done, the first one is shown and saved"
         )
 
     def _tell_easing(self) -> None:

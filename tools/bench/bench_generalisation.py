@@ -28,7 +28,7 @@ import numpy as np
 from capture_set import DRIFTING, NAMES, RENDERED, SPLITS, make_all, use_of
 
 from splatview.measure.machine import FOLDER, write_results
-from splatview.trainer.settings import STEPS_OF_A_MINUTE
+from splatview.trainer.settings import MEMBERS, STEPS_OF_A_MINUTE
 
 RUN = Path(__file__).with_name("generalisation_run.py")
 
@@ -102,11 +102,18 @@ def run_one(
 
 def same_run(runs: dict[Key, dict[str, Any]], key: Key) -> dict[str, Any] | None:
     """The run of a shorter mark that would only be repeated: its steps ended it, and limited its splats too,
-    see `automatic_limit`. Both are then the same to the bit."""
+    see `automatic_limit`, and if it trained several scenes it had time for all of them. Both are then the
+    same to the bit."""
     name, capture, split, minutes, seed = key
     for shorter in sorted({mark for *_, mark, _ in runs if mark < minutes}):
         run = runs.get((name, capture, split, shorter, seed))
-        if run and run["seconds"] < 60 * shorter and run["iteration"] <= STEPS_OF_A_MINUTE * shorter:
+        scenes = run.get("scenes", 0) if run else 0  # 0: one alone, however many minutes there are
+        if (
+            run
+            and scenes in (0, MEMBERS + 1)
+            and run["seconds"] < 60 * shorter
+            and run["iteration"] <= STEPS_OF_A_MINUTE * shorter * max(scenes, 1)
+        ):
             return run | {"minutes": minutes, "same_as": shorter}
     return None
 
