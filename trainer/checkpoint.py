@@ -198,6 +198,9 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
         state[ours.get(name, name)] = array if name in ours else array.reshape(-1)[0].item()
     if any(isinstance(value, np.ndarray) and value.shape != ids.shape for value in state.values()):
         raise ValueError("its strategy's arrays are not as long as its splats")
+    scenes = _under("scenes.", arrays)
+    for place in {name.split(".")[0] for name in scenes if "." in name}:
+        check_parameters(**{name: scenes[f"{place}.{name}"] for name in Parameters._fields})
     return Checkpoint(
         settings=from_recorded(run["settings"]),
         counters=Counters(**counters),
@@ -211,7 +214,7 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
         state=state,
         exposure=_under("exposure.", arrays),
         evidence=_under("evidence.", arrays),
-        scenes=_under("scenes.", arrays),
+        scenes=scenes,
         photos=[list(photo) for photo in run["photos"]],
         notes=dict(run["notes"]),
     )

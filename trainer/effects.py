@@ -132,7 +132,7 @@ def with_easing(effects: tuple[Effect, ...], need: float) -> tuple[Effect, ...]:
         why = effect.why.split(EASED)[0]
         return replace(effect, why=why if need >= 1 else f"{why}{EASED}{need:.0%}, as the scene meets them")
 
-    return tuple(eased(effect) if effect.name == FEW_PHOTOS else effect for effect in effects)
+    return tuple(eased(one) if one.name == FEW_PHOTOS and one.on else one for one in effects)
 
 
 def with_exposure(effects: tuple[Effect, ...], exposures: Exposures) -> tuple[Effect, ...]:
@@ -197,9 +197,17 @@ def with_scenes(effects: tuple[Effect, ...], members: int, taught: bool) -> tupl
     why = f"{members} from the same photos, and a last one that learns from them" if taught else ""
     if not taught:
         why = "there was time for one alone" if members == 1 else f"there was time for {members} alone"
-    return tuple(
-        replace(effect, on=members > 1, why=why) if effect.name == SCENES else effect for effect in effects
-    )
+
+    def told(effect: Effect) -> Effect:
+        if effect.name == SCENES:
+            return replace(effect, on=members > 1, why=why)
+        if effect.name == FEW_PHOTOS and taught and effect.on:
+            return replace(
+                effect, on=False, why=f"{effect.why.split(EASED)[0]}{TOLD}the last scene needs none"
+            )
+        return effect
+
+    return tuple(told(effect) for effect in effects)
 
 
 def _scenes(settings: TrainSettings) -> Effect:

@@ -58,10 +58,12 @@ class EnsembleTrainer(Trainer):
     def __init__(self, views: TrainViews, parameters: Parameters, *args: Any, **kwargs: Any) -> None:
         """As of `Trainer`, which does without what trains several: one process, and the photo loss."""
         super().__init__(views, parameters, *args, **kwargs)
-        self.initial, self.initial_sky = copied(parameters), self.state.get("sky", np.empty(0)).copy()
-        """What each scene begins with."""
+        self.initial, self.initial_sky = copied(parameters), self._sky()
+        """What each scene begins with, and which splats of it are a sky's."""
         self.finished: Splats | None = None
         """The first scene that is whole, while others are trained, of which the last alone is better."""
+        self.finished_sky = np.empty(0)
+        """Which splats of it are a sky's."""
         self.is_last = not self.settings.trains_several
         """Whether no scene follows the present one."""
 
@@ -94,7 +96,7 @@ class EnsembleTrainer(Trainer):
         someone edits it."""
         self.is_last = True
         if self.finished is not None:
-            self._put(self.finished.arrays, self.finished.ids)
+            self._put(self.finished.arrays, self.finished.ids, self.finished_sky)
             self.finished = self.taught = None
             self.first = self.counters.iteration - (self.settings.iterations or 0)
 
@@ -126,16 +128,13 @@ class EnsembleTrainer(Trainer):
             return
         if self.finished is None:
             self.finished = Splats(copied(self.splats.arrays), self.splats.ids)
+            self.finished_sky = self._sky()
         if not another:
             self._teach()
             self.change(**OF_STUDENT)
         self.first, self.begun = self.counters.iteration, self.counters.seconds
-        self._put(copied(self.initial), self.splats.new_ids(len(self.initial.means)))
-        self.state.clear()
-        self.state |= self.strategy.initialize_state(self.splats, extent=self.extent, focal=self.views.focal)
-        self.state["refined_at"] = self.counters.iteration
-        if len(self.initial_sky):
-            self.state["sky"] = self.initial_sky.copy()
+        ids = self.splats.new_ids(len(self.initial.means))
+        self._put(copied(self.initial), ids, self.initial_sky)
         self.resolution, self.passed = ProgressiveResolution(self.views), None
 
     def _has_time_for(self, scenes: int) -> bool:
@@ -144,12 +143,21 @@ class EnsembleTrainer(Trainer):
         each = (counters.seconds - counters.prepared) / len(self.members)
         return SPARE * scenes * each <= 60 * minutes - counters.seconds
 
-    def _put(self, parameters: Parameters, ids: np.ndarray) -> None:
-        """Trains these splats from now on, as if no step had been taken."""
+    def _sky(self) -> np.ndarray:
+        """Flags of the splats in training, see `sky.hold`; none where there is no sky."""
+        return self.state["sky"].copy() if "sky" in self.state else np.empty(0)
+
+    def _put(self, parameters: Parameters, ids: np.ndarray, sky: np.ndarray) -> None:
+        """Trains these splats from now on, as if no step had been taken. `sky`: as of `_sky`."""
         self.splats.replace(parameters, ids)
         zeros = [Parameters(*(np.zeros_like(array) for array in parameters)) for _ in range(2)]
         self.optimizer.replace(self.splats, *zeros)
         self.optimizer.steps = 0
+        self.state.clear()
+        self.state |= self.strategy.initialize_state(self.splats, extent=self.extent, focal=self.views.focal)
+        self.state["refined_at"] = self.counters.iteration
+        if len(sky):
+            self.state["sky"] = sky.copy()
 
     def _teach(self) -> None:
         """Draws what the last scene learns from: the mean of what the others show, for cameras between those
@@ -173,8 +181,7 @@ class EnsembleTrainer(Trainer):
         """Arrays by name, for checkpoints."""
         numbers = (self.first, self.begun, self.taught is not None, self.is_last, self.finished is not None)
         arrays = {"numbers": np.array(numbers, np.float64)}
-        if len(self.initial_sky):
-            arrays["sky"] = self.initial_sky
+        arrays |= {"sky": self.initial_sky, "finished_sky": self.finished_sky}
         for place, scene in enumerate((self.initial, *self.members)):
             arrays |= {f"{place}.{name}": np.ascontiguousarray(a) for name, a in scene._asdict().items()}
         return arrays
@@ -188,8 +195,8 @@ class EnsembleTrainer(Trainer):
         ]
         self.first, self.is_last = int(first), bool(is_last)
         self.optimizer.steps = self.counters.iteration - self.first
-        self.initial, self.initial_sky = scenes[0], state.get("sky", np.empty(0))
-        self.members = scenes[1:]
+        self.initial, self.members = scenes[0], scenes[1:]
+        self.initial_sky, self.finished_sky = state["sky"], state["finished_sky"]
         if goes_on:
             self.finished = Splats(copied(self.members[0]))
         if teaches:

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 
 from splatview.raster import Parameters, Workspace, draw_frame
-from splatview.scene import look_at
+from splatview.scene import InputError, look_at
+from splatview.scene.formats import load_scene
+from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.distributed import Alone
-from splatview.trainer.effects import SCENES, capture_effects
+from splatview.trainer.effects import FEW_PHOTOS, SCENES, capture_effects
 from splatview.trainer.ensemble import OF_STUDENT, EnsembleTrainer, cameras_between, kind_of_trainer
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.memory import Machine, PhotoSizes, run_memory
@@ -144,6 +146,37 @@ def test_an_edit_keeps_the_scene_that_is_seen(make: Make) -> None:
     trainer.delete(trainer.splats.ids[:3])
     run(trainer, lambda: trainer.done)
     assert trainer.counters.iteration == STEPS  # of a scene that was edited no other is made
+
+
+def test_what_is_a_sky_stays_one(make: Make, tmp_path: Path) -> None:
+    """Its splats are the last of those that each scene begins with, and what is chosen at them is kept."""
+    trainer, path = make(), tmp_path / "run.safetensors"
+    count = len(trainer.splats)
+    trainer.initial_sky = trainer.state["sky"] = (np.arange(count) >= count - 5).astype(np.uint8)
+    far = trainer.splats.arrays.means[-5:].copy()
+    whole(trainer, 1)
+    trainer.step(trainer.counters.seconds + 0.1)
+    assert np.array_equal(trainer.splats.arrays.means[trainer.state["sky"] > 0], far)
+    save_checkpoint(trainer, path)
+    checkpoint = load_checkpoint(path)
+    resumed = EnsembleTrainer(
+        trainer.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2
+    )
+    restore(resumed, checkpoint)
+    for one in (trainer, resumed):
+        one.delete(one.scene.ids[:3])
+        assert len(one.state["sky"]) == len(one.splats) == len(one.members[0].means) - 3
+        assert np.array_equal(one.splats.arrays.means[one.state["sky"] > 0], far)
+
+
+def test_a_damaged_scene_is_refused(make: Make, tmp_path: Path) -> None:
+    path = tmp_path / "run.safetensors"
+    trainer = make()
+    whole(trainer, 1)
+    trainer.members[0] = trainer.members[0]._replace(quats=trainer.members[0].quats[:-1])
+    save_checkpoint(trainer, path)
+    with pytest.raises(InputError, match="damaged checkpoint"):
+        load_checkpoint(path)
 
 
 @pytest.mark.parametrize("steps", [STEPS // 2, STEPS + 7, 3 * STEPS + 11])
@@ -305,8 +338,36 @@ def test_a_run_says_what_it_does(make: Make, tmp_path: Path, views: list[TrainVi
     assert going.run()
     told = [note for note in notes if note.startswith(SCENES)]
     assert len(told) == 3 and "another one" in told[0] and "pictures of all 3" in told[2]
-    effect = next(one for one in going.effects if one.name == SCENES)
-    assert effect.on and "3 from the same photos" in effect.why
+    told = {one.name: one for one in going.effects}
+    assert told[SCENES].on and "3 from the same photos" in told[SCENES].why
+    assert not told[FEW_PHOTOS].on and told[FEW_PHOTOS].why.endswith("the last scene needs none")
+
+
+def test_a_window_shows_the_first_scene_until_the_last_is_done(
+    make: Make, tmp_path: Path, views: list[TrainView]
+) -> None:
+    trainer = make(iterations=20)
+    outputs = Outputs(
+        scene=tmp_path / "a.ply", checkpoint=tmp_path / "a.safetensors", metrics=None, pictures=tmp_path / "p"
+    )
+    going = TrainingRun(trainer, views[1:2], outputs, started=time.perf_counter())
+    thread, seen = BackgroundTraining(going, snapshot_seconds=0.0), []
+    try:
+        thread.begin()
+        while thread.status.saved_at != 80:
+            snapshot = thread.take_snapshot()
+            if snapshot is not None:
+                seen.append(snapshot)
+        last = thread.take_snapshot() or seen[-1]
+    finally:
+        thread.close()
+    assert len(trainer.members) == 3 and last.iteration == 80
+    for snapshot in seen:
+        assert len(snapshot.ids) == len(snapshot.gaussians)
+        if 20 <= snapshot.iteration < 80:
+            assert np.array_equal(snapshot.gaussians.means, trainer.members[0].means)
+    assert np.array_equal(last.gaussians.means, trainer.splats.arrays.means)
+    assert np.array_equal(load_scene(outputs.scene).means, last.gaussians.means)
 
 
 def test_its_memory_is_stated() -> None:
