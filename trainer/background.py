@@ -95,12 +95,14 @@ class Status:
     """Step at which scene and checkpoint were last written by this thread."""
     left_out: frozenset[str] = frozenset()
     """Names of the photos that are not trained on, as they disagree with the others."""
+    scene: int = 1
+    """Number of the scene in training, see `ensemble`: of later ones than the first, minutes tell the end."""
 
     @property
     def seconds_left(self) -> float | None:
         """Seconds left of the run at the present pace; None where that cannot be told."""
         left = []
-        if self.settings.iterations is not None and self.rate > 0:
+        if self.settings.iterations is not None and self.rate > 0 and self.scene == 1:
             left.append((self.settings.iterations - self.iteration) / self.rate)
         if self.settings.minutes is not None:
             left.append(60 * self.settings.minutes - self.seconds)
@@ -207,6 +209,8 @@ class BackgroundTraining:
         # Of the thread alone:
         self._closing = False
         self._steps_wanted = 0
+        self._shown_at = training_run.trainer.counters.iteration
+        """Step of what is shown."""
         self._step_due = self._snapshot_due = 0.0
         self._step_ended: float | None = None
         self._unseen = self._unsaved = False
@@ -466,11 +470,13 @@ class BackgroundTraining:
         begun = time.perf_counter()
         trainer = self._training_run.trainer
         counters = trainer.counters
+        if trainer.scene is trainer.splats:
+            self._shown_at = counters.iteration
         self._slot.append(
             Snapshot(
                 gaussians=trainer.snapshot(),
                 ids=trainer.scene.ids,
-                iteration=counters.iteration,
+                iteration=self._shown_at,
                 seconds=counters.seconds,
                 exposures_differ=trainer.exposures.is_on,
             )
@@ -493,6 +499,7 @@ class BackgroundTraining:
             gaussians=len(trainer.scene),
             sh_degree=trainer.scene.sh_degree,
             left_out=trainer.outliers.names_left_out,
+            scene=1 if trainer.scene is trainer.splats else len(trainer.members) + 1,
             **changes,
         )
 

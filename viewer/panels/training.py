@@ -85,6 +85,8 @@ def headline(status: Status) -> None:
     # Where minutes end the run, its steps are a guess that the share does not follow.
     counted = goal and abs(status.progress - status.iteration / goal) < 0.01
     text = f"{status.iteration:,} of {goal:,} steps" if counted else f"{status.iteration:,} steps"
+    if status.scene > 1:
+        text = f"scene {status.scene}, {text}"
     imgui.push_style_color(imgui.Col_.plot_histogram, ImVec4(colour.x, colour.y, colour.z, 0.55))
     imgui.progress_bar(status.progress, (-1, imgui.get_font_size() * 1.5), f"{text}   {status.progress:.0%}")
     imgui.pop_style_color()
