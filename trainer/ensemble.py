@@ -33,7 +33,10 @@ from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 
 TAUGHT_SHARE = 0.8
-"""Of the last scene's steps, that look at pictures of the others; the rest look at photos."""
+"""Of the last scene's steps, that look at pictures of the others; the rest look at photos. Split 0 of `miku 12
+far`, three scenes of which have 24.55 dB and the mean of their pictures 25.03, has 25.09 with 0.5 and 25.27
+with 0.8. Dropped: twice as many steps for it, 20.28 in place of 20.55 on split 1, 18.24 and 18.23 on `kermit`,
+21.04 and 21.10 on `toy` (means of their three scenes: 20.29, 17.87 and 20.30)."""
 
 NEIGHBOURS = 3
 """Cameras of pictures are on the ways from a photo to one of so many that are nearest to it."""
@@ -49,7 +52,8 @@ SPARE = 1.1
 """Factor of what scenes are thought to take: the last one must be whole when the minutes are over."""
 
 OF_STUDENT = {"opacity_reg": LEAST_REG, "scale_reg": LEAST_REG, "dropout": 0.0, "max_aspect": math.inf}
-"""Settings of the last scene, those of many photos."""
+"""Settings of the last scene, those of many photos. With those of few, split 0 of `miku 12 near` has 31.25 dB
+and an SSIM of 0.935 in place of 31.50 and 0.940."""
 
 
 class EnsembleTrainer(Trainer):
