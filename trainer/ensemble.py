@@ -33,10 +33,10 @@ from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 
 TAUGHT_SHARE = 0.8
-"""Of the last scene's steps, that look at pictures of the others; the rest look at photos. Split 0 of `miku 12
-far`, three scenes of which have 24.55 dB and the mean of their pictures 25.03, has 25.09 with 0.5 and 25.27
-with 0.8. Dropped: twice as many steps for it, 20.28 in place of 20.55 on split 1, 18.24 and 18.23 on `kermit`,
-21.04 and 21.10 on `toy` (means of their three scenes: 20.29, 17.87 and 20.30)."""
+"""Of the last scene's steps, that look at pictures of the others; the rest look at photos. Split 0 of `miku
+12 far`, three scenes of which have 24.55 dB and the mean of their pictures 25.03, has 25.09 with 0.5 and
+25.27 with 0.8. Dropped: twice as many steps for it, 20.28 in place of 20.55 on split 1, 18.24 and 18.23 on
+`kermit`, 21.04 and 21.10 on `toy` (means of their three scenes: 20.29, 17.87 and 20.30)."""
 
 NEIGHBOURS = 3
 """Cameras of pictures are on the ways from a photo to one of so many that are nearest to it."""
