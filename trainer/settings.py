@@ -248,8 +248,8 @@ def automatic_steps(photos: int, everywhere: bool = False, shown: float = math.i
 
     Where a place is shown by half of so few photos or fewer, their number is its geometric mean with that of
     those: `beach` (4 of 12), on which that was chosen, has 18.52, 18.58 and 18.52 dB after three minutes with
-    30,000 splats at most, 18.29, 18.39 and 18.35 by their number alone. With as many as three minutes allow it
-    has 18.58, 17.55 and 18.52, of which the second is chance: after one minute, by fewer steps, it has 18.55.
+    30,000 splats at most, 18.29, 18.39 and 18.35 by their number alone. By as many as there are in three
+    minutes it has 18.58, 17.55 and 18.52: the second is chance.
 
     Dropped: half as many more, 900 per photo with as many splats, where photos have a surround: `banana`
     27.45 and 25.31 dB in place of 27.18 and 25.38, with less SSIM (0.746, 0.713; 0.752, 0.730).
