@@ -245,7 +245,7 @@ def run_memory(
         splat=held * (1 + FREED)
         + gradients * (1 + (batch > 1))
         + BUFFER_BYTES
-        + (ensemble + 1) * parameters * (ensemble > 1)  # its scenes, and a copy of the last
+        + (ensemble + 1) * parameters * (ensemble > 1)  # its scenes, and a copy of the first
         + window * SNAPSHOTS * (parameters + 20),
         saved=held * CHECKPOINT,
         largest=sizes.largest,
