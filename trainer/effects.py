@@ -196,11 +196,13 @@ def with_scenes(effects: tuple[Effect, ...], members: int, taught: bool) -> tupl
     """The same once so many scenes are whole, and one learns from them or not."""
     why = f"{members} from the same photos, and a last one that learns from them" if taught else ""
     if not taught:
-        why = "there was time for one alone" if members == 1 else f"there was time for {members} alone"
+        why = (
+            "there was time for one alone" if members == 1 else "no time for one that learns: the first stays"
+        )
 
     def told(effect: Effect) -> Effect:
         if effect.name == SCENES:
-            return replace(effect, on=members > 1, why=why)
+            return replace(effect, on=taught, why=why)
         if effect.name == FEW_PHOTOS and taught and effect.on:
             return replace(
                 effect, on=False, why=f"{effect.why.split(EASED)[0]}{TOLD}the last scene needs none"
