@@ -73,10 +73,12 @@ class EnsembleTrainer(Trainer):
 
     @property
     def progress(self) -> float:
-        """The share of the run that is over, 0 to 1: by the clock, once one scene is whole."""
-        if self.finished is None or self.settings.minutes is None:
-            return self.scene_progress
-        return min(self.counters.seconds / (60 * self.settings.minutes), 1.0)
+        """The share of the run that is over, 0 to 1: of as many scenes as there seems to be time for."""
+        if self.done:
+            return 1.0
+        if self.is_last:
+            return (len(self.members) + self.scene_progress) / (len(self.members) + 1)
+        return min((len(self.members) + self.scene_progress) / self._scenes_in_all(), 1.0)
 
     @property
     def scene(self) -> Splats:
@@ -146,6 +148,16 @@ class EnsembleTrainer(Trainer):
         counters, minutes = self.counters, self.settings.minutes or 0.0
         each = (counters.seconds - counters.prepared) / len(self.members)
         return SPARE * scenes * each <= 60 * minutes - counters.seconds
+
+    def _scenes_in_all(self) -> int:
+        """Scenes of the run, the last one among them, if each takes as long as those before."""
+        counters, minutes = self.counters, self.settings.minutes or 0.0
+        begun = len(self.members) + self.scene_progress
+        each = max(counters.seconds - counters.prepared, 1e-9) / max(begun, 1e-9)
+        fit = (60 * minutes - counters.prepared) / each
+        members = max(min(self.settings.ensemble, math.floor(fit - 2 * SPARE) + 1), len(self.members) + 1)
+        goes_on = len(self.members) > 0 or members >= 2 and members + SPARE <= fit
+        return members + 1 if goes_on and len(self.views.taken) >= LEAST_PHOTOS else 1
 
     def _sky(self) -> np.ndarray:
         """Flags of the splats in training, see `sky.hold`; none where there is no sky."""

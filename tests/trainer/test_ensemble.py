@@ -68,7 +68,7 @@ def test_three_scenes_and_one_that_learns_from_them(make: Make) -> None:
     for count in (1, 2):
         whole(trainer, count)
         assert trainer.counters.iteration == count * STEPS and not trainer.done and trainer.taught is None
-        assert trainer.scene_progress == 0 and 0 < trainer.progress < 1
+        assert trainer.scene_progress == 0 and trainer.progress == count / 4
         assert len(trainer.splats) == len(before) and not set(trainer.splats.ids) & set(before)
     assert trainer.settings == recipe
     whole(trainer, 3)
@@ -76,6 +76,20 @@ def test_three_scenes_and_one_that_learns_from_them(make: Make) -> None:
     run(trainer, lambda: trainer.done)
     assert trainer.counters.iteration == 4 * STEPS and trainer.progress == 1
     assert trainer.scene is trainer.splats and len(trainer.members) == 3
+
+
+@pytest.mark.parametrize(
+    ("minutes", "scenes"), [(10.0, 4), (0.3, 4), (0.25, 3), (0.2, 1), (0.1, 1)]
+)  # a scene takes 4 s
+def test_progress_goes_by_the_scenes_that_there_is_time_for(make: Make, minutes: float, scenes: int) -> None:
+    """From the middle of the first scene on, when it is known how long one takes."""
+    trainer, shares = make(minutes=minutes), []
+    while not trainer.done:
+        trainer.step(trainer.counters.seconds + 0.1)
+        shares.append(trainer.progress)
+    assert trainer.counters.iteration == scenes * STEPS
+    even = np.linspace(0, 1, scenes * STEPS + 1)[1:]
+    assert shares[STEPS // 2 :] == pytest.approx(even[STEPS // 2 :], abs=0.02)
 
 
 def test_a_scene_that_follows_is_as_one_of_its_own(make: Make) -> None:

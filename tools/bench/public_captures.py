@@ -36,6 +36,10 @@ class PublicCapture:
     """Focal length, centre and distortion, px, kept as they are; empty: COLMAP finds them."""
     ahead: bool = False
     """Taken one after another while walking ahead: matched along the way, with less parallax."""
+    commit: str = "HEAD"
+    """Of the repository, that has the photos."""
+    poses: str = ""
+    """Folder of the model in the repository, by which its owner posed them; empty: they are posed here."""
 
 
 PUBLIC = {
@@ -49,10 +53,19 @@ PUBLIC = {
     "beach": PublicCapture("choose", "pierotofy/drone_dataset_brighton_beach", "images", 10),
     "toy": PublicCapture("choose", "snavely/bundler_sfm", "examples/ET", 2),
     "bust": PublicCapture("choose", "alicevision/dataset_buddha", "buddha", 7),
+    "mouse": PublicCapture("judge", "Myhan1023/mouse-3d-reconstruction", "images", 6, poses="sparse/0"),
+    "statue": PublicCapture(
+        "judge",
+        "PhotogrammetryCourse/PhotogrammetryTasks2024",
+        "data/src/datasets/saharov32",
+        4,
+        commit="c64d9b85db2a59678490acd35bccf2c003e42383",
+    ),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
-a shore from a drone; another doll; a stone head on a table."""
+a shore from a drone; another doll; a stone head on a table; a computer mouse before white paper; a
+monument in a park."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:
@@ -64,21 +77,21 @@ def git_folder(clones: Path, repository: str) -> Path:
     raise SystemExit(f"{clone}: no clone of {repository}")
 
 
-def extract(git: Path, folder: str, out: Path) -> int:
-    """Writes the photos of a folder of a clone, and says how many there are."""
+def extract(git: Path, commit: str, folder: str, out: Path, endings: tuple[str, ...] = PHOTOS) -> int:
+    """Writes the files of a folder at a commit of a clone that end so, and says how many there are."""
 
     def ask(*words: str) -> bytes:
         return subprocess.run(["git", "-C", git, *words], check=True, capture_output=True).stdout
 
     missing = {
         line[1:]
-        for line in ask("rev-list", "--objects", "HEAD", "--missing=print").decode().splitlines()
+        for line in ask("rev-list", "--objects", commit, "--missing=print").decode().splitlines()
         if line.startswith("?")
     }
     out.mkdir(parents=True, exist_ok=True)
     count = 0
-    for line in ask("ls-tree", "-r", "-z", "HEAD", f"{folder}/").decode().split("\0"):
-        if not line.lower().endswith(PHOTOS):
+    for line in ask("ls-tree", "-r", "-z", commit, f"{folder}/").decode().split("\0"):
+        if not line.lower().endswith(endings):
             continue
         facts, path = line.split("\t")
         blob = facts.split()[2]
@@ -130,9 +143,12 @@ def pose(folder: Path, capture: PublicCapture) -> str:
     found: Mapping[int, Any] = pycolmap.incremental_mapping(
         database, folder / "images", folder / "sparse", options=options
     )
-    if 0 not in found:
+    if not found:
         raise SystemExit(f"{folder.name}: no poses found")
-    model = found[0]
+    model = max(found.values(), key=lambda model: model.num_reg_images())
+    shutil.rmtree(folder / "sparse")  # there may be smaller ones, of which the first is not the largest
+    (folder / "sparse" / "0").mkdir(parents=True)
+    model.write(folder / "sparse" / "0")
     error = model.compute_mean_reprojection_error()
     return f"{model.num_reg_images()} photos, {model.num_points3D()} points, error {error:.2f} px"
 
@@ -149,8 +165,14 @@ def main() -> None:
         folder, capture = options.out / name, PUBLIC[name]
         if (folder / "whole").exists():
             continue
-        count = extract(git_folder(options.clones, capture.repository), capture.folder, folder / "images")
-        print(f"{name}: {count} photos; {pose(folder, capture)}", flush=True)
+        git = git_folder(options.clones, capture.repository)
+        count = extract(git, capture.commit, capture.folder, folder / "images")
+        if capture.poses:
+            model = folder / "sparse" / "0"
+            posed = f"{extract(git, capture.commit, capture.poses, model, ('.bin',))} files of poses"
+        else:
+            posed = pose(folder, capture)
+        print(f"{name}: {count} photos; {posed}", flush=True)
         (folder / "whole").touch()
 
 
