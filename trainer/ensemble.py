@@ -156,7 +156,7 @@ class EnsembleTrainer(Trainer):
         each = max(counters.seconds - counters.prepared, 1e-9) / max(begun, 1e-9)
         fit = (60 * minutes - counters.prepared) / each
         members = max(min(self.settings.ensemble, math.floor(fit - 2 * SPARE) + 1), len(self.members) + 1)
-        goes_on = len(self.members) > 0 or members >= 2 and members + SPARE <= fit
+        goes_on = len(self.members) > 0 or (members >= 2 and members + SPARE <= fit)
         return members + 1 if goes_on and len(self.views.taken) >= LEAST_PHOTOS else 1
 
     def _sky(self) -> np.ndarray:
