@@ -46,6 +46,7 @@ from splatview.trainer.effects import (
 from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
 from splatview.trainer.memory import MemoryPlan
 from splatview.trainer.outliers import disagreeing
+from splatview.trainer.splats import Splats
 from splatview.trainer.views import TrainView
 
 if TYPE_CHECKING:
@@ -227,6 +228,8 @@ class TrainingRun:
         self._checkpointed = -math.inf
         self._evaluated = time.perf_counter()
         self._evaluation_cost = 0.0
+        self._measured: Splats | None = None
+        """Scene of `evaluation`, where it is one that others follow."""
         self._metrics: TextIO | None = None
 
     @property
@@ -344,6 +347,7 @@ class TrainingRun:
         drawn = self._pictures(self.held_out)
         self.evaluation = evaluation_of(self.held_out, drawn, threads=self.trainer.threads)
         self.evaluated_at = self.trainer.counters.iteration
+        self._measured = None if self.trainer.scene is self.trainer.splats else self.trainer.scene
         self._evaluated = time.perf_counter()
         self._evaluation_cost = self._evaluated - begun
         return self.evaluation
@@ -401,6 +405,8 @@ class TrainingRun:
     def _evaluation_is_due(self, iteration: int) -> bool:
         if self.trainer.done or (self.eval_every and iteration % self.eval_every == 0):
             return True
+        if self.trainer.scene is self._measured:  # it waits for others, see `ensemble`
+            return False
         since = time.perf_counter() - self._evaluated
         if not since >= self._evaluation_cost / EVALUATION_SHARE:
             return False

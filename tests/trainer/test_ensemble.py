@@ -22,7 +22,7 @@ from splatview.trainer.ensemble import OF_STUDENT, EnsembleTrainer, cameras_betw
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.memory import Machine, PhotoSizes, run_memory
 from splatview.trainer.plugin import LossPlugin
-from splatview.trainer.run import Outputs, TrainingRun
+from splatview.trainer.run import Outputs, RunProgress, TrainingRun
 from splatview.trainer.settings import PICTURES, TrainSettings, pictures_taught
 from splatview.trainer.setup import settings_for
 from splatview.trainer.trainer import Trainer
@@ -355,6 +355,28 @@ def test_a_run_says_what_it_does(make: Make, tmp_path: Path, views: list[TrainVi
     told = {one.name: one for one in going.effects}
     assert told[SCENES].on and "3 from the same photos" in told[SCENES].why
     assert not told[FEW_PHOTOS].on and told[FEW_PHOTOS].why.endswith("the last scene needs none")
+
+
+def test_the_scene_that_waits_is_measured_once(
+    make: Make, tmp_path: Path, views: list[TrainView], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splatview.trainer.run.EVALUATION_SHARE", np.inf)
+    trainer, measured = make(), []
+
+    def note(progress: RunProgress) -> None:
+        if progress.evaluation is not None:
+            measured.append(progress.step.iteration)
+
+    outputs = Outputs(
+        scene=tmp_path / "a.ply", checkpoint=tmp_path / "a.safetensors", metrics=None, pictures=tmp_path / "p"
+    )
+    going = TrainingRun(
+        trainer, views[1:2], outputs, started=time.perf_counter(), eval_seconds=0.0, on_progress=note
+    )
+    assert going.run()
+    waited = [step for step in measured if STEPS < step < 4 * STEPS]
+    assert not waited and measured[-1] == 4 * STEPS
+    assert measured[:STEPS] == list(range(1, STEPS + 1))  # eval_seconds of 0 asks for it after every step
 
 
 def test_a_window_shows_the_first_scene_until_the_last_is_done(
