@@ -7,6 +7,7 @@ direction: its eye only says where the depth of 0 is.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -225,6 +226,24 @@ def look_at(
         cy=height / 2,
         world_to_camera=look_at_matrix(eye, target, up),
     )
+
+
+HELD_ALIKE = 0.9
+"""Length of the mean of unit vectors from which on cameras are held the same way."""
+
+
+def likely_ups(cameras: Sequence[Camera], least: float) -> list[np.ndarray]:
+    """Directions (3,), world, unit, that may be up, the likeliest first: the mean of the cameras' ups, where
+    its length is above `least`. Else, where all stand on the same side, as portraits are stored, that side
+    and its opposite; first the one that the cameras look down from, as most do. None, where they point
+    everywhere."""
+    right, down, ahead = np.mean([camera.R_camera_world for camera in cameras], axis=0)
+    if (length := float(np.linalg.norm(down))) > least:
+        return [-down / length]
+    if not (length := float(np.linalg.norm(right))) > HELD_ALIKE:
+        return []
+    side = right / length
+    return [side, -side] if ahead @ side <= 0 else [-side, side]
 
 
 ROOM = 10.0

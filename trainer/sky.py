@@ -44,6 +44,7 @@ from PIL import Image, ImageFilter
 from splatview.edit.kernels import kdtree
 from splatview.raster import Parameters
 from splatview.scene import Camera
+from splatview.scene.camera import likely_ups
 from splatview.scene.captures import Capture
 from splatview.scene.sh import SH_C0
 from splatview.trainer.views import TrainView
@@ -77,6 +78,9 @@ APART = 0.15
 
 DARKEST = 0.06
 """Largest channel of a sky that is worth adding, apart from the background behind the scene."""
+
+LEAST_COMMON_UP = 0.3
+"""Length of the mean of the photos' ups from which on they have one in common."""
 
 LOWEST = math.radians(-4)
 """Height above the horizon of what may be sky: the horizon itself is known to some degrees."""
@@ -256,14 +260,15 @@ def find_sky(
     if mode == "off":
         return NO_SKY
     some = views[:: -(-len(views) // MOST_PHOTOS)]
-    extent, up = capture.scene_radius, up_of([view.camera for view in some])
+    extent, ups = capture.scene_radius, likely_ups([view.camera for view in some], LEAST_COMMON_UP)
     why_not = _why_not(views, random_points and mode == "auto")
-    if up is None or why_not:
+    if not ups or why_not:
         return Sky(mode, SkyEvidence(0.0, why_not=why_not or "photos have no common up"), None)
     if random_points:
         points = points[:0]
     looks = [Look.of(view, points, spacing_of(CELLS), FAR_EXTENTS * extent) for view in some]
-    found = FarCells.of(looks, sphere(CELLS), up, extent, background)
+    tried = [FarCells.of(looks, sphere(CELLS), up, extent, background) for up in ups]
+    up, found = max(zip(ups, tried, strict=True), key=lambda pair: pair[1].share)
     left = found.left(looks, points) if found.far.any() and len(points) else math.inf
     evidence = SkyEvidence(found.share, left, found.has_sky_colours(looks))
     if not found.far.any() or (mode == "auto" and not evidence.calls_for_sky):
@@ -284,13 +289,6 @@ def _why_not(views: Sequence[TrainView], random_points: bool) -> str:
     if random_points:
         return "the capture has random points, which do not say what is near"
     return ""
-
-
-def up_of(cameras: Sequence[Camera]) -> np.ndarray | None:
-    """(3,) unit, world: the mean of the cameras' ups; None where these point everywhere."""
-    mean = -np.mean([camera.R_camera_world[1] for camera in cameras], axis=0)
-    length = float(np.linalg.norm(mean))
-    return mean / length if length > 0.3 else None
 
 
 def sphere(count: int) -> np.ndarray:

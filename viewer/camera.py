@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from splatview.scene import Camera, Gaussians, InputError
+from splatview.scene.camera import likely_ups
 from splatview.scene.captures import read_poses
 from splatview.scene.captures.nerfstudio import find_transforms
 from splatview.scene.edits import SELECTED, SceneEdits, bake, shown
@@ -36,6 +37,9 @@ FOV_STEP = 1.1
 
 LEAST_CAMERAS_FOR_UP = 3
 """Fewer photos may all have been taken at a slant."""
+
+LEAST_COMMON_UP = 0.5
+"""Length of the mean of the cameras' ups from which on they have one in common."""
 
 
 def bounds(app: AppState, *, selected: bool = False) -> tuple[np.ndarray, float] | None:
@@ -321,10 +325,11 @@ def sees(camera: Camera, point: np.ndarray) -> bool:
 
 
 def common_up(cameras: Sequence[Camera]) -> np.ndarray | None:
-    """Mean up axis of the cameras, as people hold them upright: (3,) float64 unit; None where they differ."""
-    mean = -np.mean([camera.R_camera_world[1] for camera in cameras], axis=0)
-    length = float(np.linalg.norm(mean))
-    return mean / length if len(cameras) >= LEAST_CAMERAS_FOR_UP and length > 0.5 else None
+    """Mean up axis of the cameras, as people hold them upright, or all on the same side: (3,) float64 unit;
+    None where they differ."""
+    if len(cameras) < LEAST_CAMERAS_FOR_UP:
+        return None
+    return next(iter(likely_ups(cameras, LEAST_COMMON_UP)), None)
 
 
 def choose_cameras(app: AppState) -> None:

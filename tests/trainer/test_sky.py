@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -66,15 +67,19 @@ def indoors(eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.where(directions[:, 1:2] > 0, ground(eye, directions), walls)
 
 
-def capture_of(paint: Paint, *, alpha: bool = False, count: int = 12) -> Capture:
-    """Photos from a ring, which look outwards and a little up; points on the ground."""
+def capture_of(paint: Paint, *, alpha: bool = False, count: int = 12, quarters: int = 0) -> Capture:
+    """Photos from a ring, which look outwards and a little up; points on the ground. `quarters`: turns of the
+    camera about its axis."""
+    cosine, sine = round(math.cos(quarters * math.pi / 2)), round(math.sin(quarters * math.pi / 2))
+    turn = np.eye(4)
+    turn[:2, :2] = (cosine, sine), (-sine, cosine)
     photos = []
     for i in range(count):
         angle = 2 * np.pi * i / count
         eye = np.array([np.sin(3 * angle), 0.0, np.cos(3 * angle)]) * 1.5
         ahead = np.array([np.sin(angle), -0.25, np.cos(angle)])
         camera = look_at(eye, eye + ahead, up=UP, fov_y=65, width=64, height=48)
-        camera = replace(camera, name=f"{i}.png")
+        camera = replace(camera, name=f"{i}.png", world_to_camera=turn @ camera.world_to_camera)
         pixels = Pixels(
             image=painted(paint, camera),
             mask=None,
@@ -118,6 +123,14 @@ def trainer_of(capture: Capture, **fields: object) -> Trainer:
 def test_photos_that_agree_at_infinity_show_a_sky(open_air: Capture) -> None:
     sky = found(open_air)
     assert sky.count > sky.fine > 100 and sky.evidence.share > 0.3 and sky.evidence.left < 0.5
+
+
+@pytest.mark.parametrize("quarters", [1, 3])
+def test_photos_on_their_sides_show_the_same_sky(open_air: Capture, quarters: int) -> None:
+    """Portraits are stored so, one way or the other, whichever way is up."""
+    upright, sky = found(open_air), found(capture_of(outdoors, quarters=quarters))
+    assert sky.evidence.share == pytest.approx(upright.evidence.share, abs=0.1)
+    assert sky.count > sky.fine > 100
 
 
 def test_plain_walls_are_no_sky() -> None:

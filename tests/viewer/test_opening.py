@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from splatview.scene import look_at
+from splatview.scene import Camera, look_at
 from splatview.scene.background import Panorama
 from splatview.scene.demo import demo_scene
 from splatview.scene.formats import cameras as cameras_module
@@ -306,6 +307,12 @@ def test_a_dropped_camera_is_gone_to(app, ply, wait_for_loading, tmp_path):
     assert app.scene.name == "a.ply", "the scene stays"
 
 
+def turned(camera: Camera) -> Camera:
+    """A quarter turn about its axis: as portraits are stored."""
+    quarter = np.array([[0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    return replace(camera, world_to_camera=quarter @ camera.world_to_camera)
+
+
 def test_a_camera_lists_common_up_becomes_the_up_axis(app, tmp_path, wait_for_loading):
     up = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
     around = [look_at((3 * np.cos(a), 3 * np.sin(a), 1), (0, 0, 0.3), up=up) for a in np.arange(0, 6.28, 0.5)]
@@ -313,6 +320,10 @@ def test_a_camera_lists_common_up_becomes_the_up_axis(app, tmp_path, wait_for_lo
     assert found is not None
     assert float(found @ up) > 0.99
     assert common_up(around[:2]) is None, "too few to tell"
+    portraits = [turned(camera) for camera in around]
+    found = common_up(portraits)
+    assert found is not None
+    assert float(found @ up) > 0.99, "they stand on their sides, and look down"
     rolled = [look_at((0, 0, -3), (0, 0, 0), up=(np.cos(a), np.sin(a), 0)) for a in np.arange(0, 6.28, 0.5)]
     assert common_up(rolled) is None, "they do not agree"
 
