@@ -102,7 +102,10 @@ class Status:
     def seconds_left(self) -> float | None:
         """Seconds left of the run at the present pace; None where that cannot be told."""
         left = []
-        if self.settings.iterations is not None and self.rate > 0 and self.scene == 1:
+        if self.settings.trains_several:
+            if self.progress > 0:
+                left.append(self.seconds * (1 / self.progress - 1))
+        elif self.settings.iterations is not None and self.rate > 0:
             left.append((self.settings.iterations - self.iteration) / self.rate)
         if self.settings.minutes is not None:
             left.append(60 * self.settings.minutes - self.seconds)

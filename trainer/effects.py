@@ -214,8 +214,11 @@ def with_scenes(effects: tuple[Effect, ...], members: int, taught: bool) -> tupl
 
 def _scenes(settings: TrainSettings) -> Effect:
     if settings.trains_several:
+        steps = f"{settings.iterations:,} steps"
+        if settings.shorter is not None:
+            steps = f"{settings.shorter[0]:,} steps, or {steps} where photos are met well,"
         why = (
-            f"{settings.iterations:,} steps end a scene: others follow, {settings.ensemble} in all at most,"
+            f"{steps} end a scene: others follow, {settings.ensemble} in all at most,"
             " and one that learns from them, as far as there is time"
         )
     else:

@@ -282,6 +282,25 @@ def automatic_steps(photos: int, everywhere: bool = False, shown: float = math.i
 MEMBERS = 3
 """Scenes that teach a last one, at most. See `ensemble`."""
 
+SHORTER_PER_PHOTO = 350
+"""Steps per photo of each of several scenes where there is time for no longer ones, see
+`automatic_shorter`."""
+
+
+def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> int | None:
+    """Steps of each of several scenes of so many photos, where `steps` for each are too many for the minutes
+    and fewer are not; None: `steps`, or one scene alone.
+
+    (figures)
+    """
+    budget = STEPS_OF_A_MINUTE * minutes * min(threads, MOST_THREADS) / 2 / LEAST_SCENES
+    shorter = SHORTER_PER_PHOTO * photos
+    return shorter if shorter <= budget < steps else None
+
+
+LEAST_SCENES = 3.1
+"""Times that one scene takes, of a run of several: two, and one that learns from them and must be whole."""
+
 PICTURES, PICTURE_PIXELS = 150, 50_000_000
 """Pictures by which they do, and the pixels of all of them, at most; of large photos there are two for each
 at least."""
@@ -386,6 +405,9 @@ class TrainSettings(StrategySettings):
     ensemble: int = 1
     """Scenes at most that are trained one after the other, where steps end each before the minutes are over;
     their mean then teaches a last one, see `ensemble`. 1: one alone."""
+    shorter: tuple[int, int] | None = None
+    """Steps and splats of each of several scenes, where there is no time for several of `iterations` and
+    `max_splats`, unless photos are met well; None: those. See `automatic_shorter`."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -428,6 +450,8 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"few_views_rounds must not be negative, got {self.few_views_rounds}")
         if not self.ensemble >= 1:
             raise ValueError(f"ensemble must be at least 1, got {self.ensemble}")
+        if self.shorter is not None and not min(self.shorter) >= 1:
+            raise ValueError(f"shorter must be steps and splats above 0, got {self.shorter}")
         if not 0 <= self.withheld <= 0.5:
             raise ValueError(f"withheld must be 0 to 0.5, got {self.withheld}")
         if not 0 <= self.dropout < 1:
@@ -444,10 +468,14 @@ class TrainSettings(StrategySettings):
         """Whether a run may train several scenes: one has an end before that of the minutes."""
         return self.ensemble > 1 and None not in (self.iterations, self.minutes) and not self.withheld
 
-    def progress(self, iteration: int, seconds: float, prepared: float = 0.0) -> float:
+    def progress(
+        self, iteration: int, seconds: float, prepared: float = 0.0, *, shorter: bool = False
+    ) -> float:
         """The share of the run that is over, 0 to 1. `prepared`: of the seconds, those before the first step,
-        which are no progress: so a run that its steps end is the same, however many minutes it was given."""
-        by_steps = 0.0 if self.iterations is None else iteration / self.iterations
+        which are no progress: so a run that its steps end is the same, however many minutes it was given.
+        `shorter`: by the steps of that name."""
+        steps = self.shorter[0] if shorter and self.shorter else self.iterations
+        by_steps = 0.0 if steps is None else iteration / steps
         by_clock = 0.0
         if self.minutes is not None:
             length = 60 * self.minutes
@@ -502,6 +530,7 @@ WITHOUT_WORD = {
     "few_views": 0,
     "few_views_rounds": 0.0,
     "ensemble": 1,
+    "shorter": None,
 }
 """Fields that older checkpoints do not have, as their runs went."""
 
@@ -521,6 +550,7 @@ def from_recorded(values: Mapping[str, Any]) -> TrainSettings:
     fields["cut"] = tuple(tuple(_crop(crop) for crop in crops) for crops in fields["cut"])
     fields["background"] = tuple(fields["background"])
     fields["surround"] = fields["surround"] and tuple(fields["surround"])
+    fields["shorter"] = fields["shorter"] and tuple(fields["shorter"])
     if fields["resolution"] is not None:
         fields["resolution"] = tuple((float(until), int(factor)) for until, factor in fields["resolution"])
     return TrainSettings(**fields)

@@ -51,6 +51,7 @@ from splatview.trainer.settings import (
     automatic_max_aspect,
     automatic_regularisation,
     automatic_sh_divisor,
+    automatic_shorter,
     automatic_steps,
 )
 from splatview.trainer.sky import find_sky, with_sky
@@ -101,6 +102,9 @@ def settings_for(
     if iterations is None:
         iterations = few_steps or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))
+    fewer = None
+    if few_steps is not None and timed is not None and everywhere:
+        fewer = automatic_shorter(photos, few_steps, timed, threads)
     automatic: dict[str, Any] = {
         "batch": batch,
         "opacity_reg": weight,
@@ -108,6 +112,7 @@ def settings_for(
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "ensemble": MEMBERS if few_steps is not None and timed is not None else 1,
+        "shorter": fewer and (fewer, min(limit, automatic_limit(pixels, timed, fewer))),
         "max_aspect": automatic_max_aspect(photos),
         "sh_divisor": automatic_sh_divisor(shown, steps),
         "model": model_for(capture, antialiased),
@@ -187,7 +192,7 @@ def trainer_for(
         views,
         with_sky(parameters, sky),
         extent,
-        settings if kind is EnsembleTrainer else replace(settings, ensemble=1),
+        settings if kind is EnsembleTrainer else replace(settings, ensemble=1, shorter=None),
         centre=centre,
         threads=threads,
         group=group,

@@ -23,7 +23,7 @@ from splatview.trainer.evaluate import evaluate
 from splatview.trainer.memory import Machine, PhotoSizes, run_memory
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.run import Outputs, RunProgress, TrainingRun
-from splatview.trainer.settings import PICTURES, TrainSettings, pictures_taught
+from splatview.trainer.settings import PICTURES, TrainSettings, automatic_shorter, pictures_taught
 from splatview.trainer.setup import settings_for
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
@@ -355,6 +355,72 @@ def test_a_run_says_what_it_does(make: Make, tmp_path: Path, views: list[TrainVi
     told = {one.name: one for one in going.effects}
     assert told[SCENES].on and "3 from the same photos" in told[SCENES].why
     assert not told[FEW_PHOTOS].on and told[FEW_PHOTOS].why.endswith("the last scene needs none")
+
+
+SHORT = {"shorter": (STEPS // 2, 150), "minutes": 0.15}
+"""9 s: two whole scenes of 4 s, or three of 2 s and a last one."""
+
+
+def test_scenes_are_shorter_where_there_is_no_time_for_several_long_ones(make: Make) -> None:
+    trainer = make(**SHORT)
+    assert trainer.strategy.settings.max_splats == 150 and trainer.settings.max_splats == 200
+    run(trainer, lambda: trainer.done)
+    assert trainer.counters.iteration == 4 * STEPS // 2 and len(trainer.members) == 3 and trainer.is_short
+    assert trainer.progress == 1
+    assert len(trainer.splats) <= 150
+
+
+def test_photos_that_are_met_well_have_one_long_scene(make: Make) -> None:
+    """More steps teach it more: nothing is learnt by heart for want of photos that contradict it."""
+    trainer = make(**SHORT, full_reg_loss=10.0)
+    run(trainer, lambda: trainer.is_short_decided)
+    assert not trainer.is_short and trainer.need_of_reg < 1
+    assert trainer.strategy.settings.max_splats == 200
+    run(trainer, lambda: trainer.done)
+    assert trainer.counters.iteration == STEPS and len(trainer.members) == 1
+
+
+def test_scenes_are_not_shorter_where_steps_take_longer_than_thought(make: Make) -> None:
+    trainer = make(**{**SHORT, "minutes": 0.1})  # 6 s, for two and a bit of 2 s
+    run(trainer, lambda: trainer.done)
+    assert not trainer.is_short
+    assert trainer.counters.iteration == STEPS and len(trainer.members) == 1
+
+
+def test_an_end_of_ones_own_is_that_of_every_scene(make: Make) -> None:
+    trainer = make(**SHORT)
+    trainer.change(max_splats=120)
+    assert trainer.settings.shorter == (STEPS // 2, 120) and trainer.strategy.settings.max_splats == 120
+    trainer.change(iterations=STEPS // 4)
+    assert trainer.settings.shorter is None
+    whole(trainer, 1)
+    assert trainer.counters.iteration == STEPS // 4
+
+
+def test_a_checkpoint_knows_how_long_scenes_are(make: Make, tmp_path: Path) -> None:
+    for settings, steps in ((SHORT, 4 * STEPS // 2), (SHORT | {"full_reg_loss": 10.0}, STEPS)):
+        trainer = make(**settings)
+        run(trainer, lambda trainer=trainer: trainer.is_short_decided)
+        save_checkpoint(trainer, tmp_path / "a.safetensors")
+        found = load_checkpoint(tmp_path / "a.safetensors")
+        resumed = make(**settings)
+        assert found.settings == trainer.settings
+        restore(resumed, found)
+        assert resumed.is_short == trainer.is_short
+        assert resumed.strategy.settings == trainer.strategy.settings
+        for one in (trainer, resumed):
+            run(one, lambda one=one: one.done)
+            assert one.counters.iteration == steps
+        assert_same(resumed.splats.arrays, trainer.splats.arrays)
+
+
+def test_how_short_scenes_are() -> None:
+    """As many as there is time for, and no fewer than 350 per photo."""
+    assert automatic_shorter(26, 15_600, minutes=10, threads=2) == 9_100
+    assert automatic_shorter(26, 15_600, minutes=3, threads=2) is None  # one alone
+    assert automatic_shorter(26, 15_600, minutes=20, threads=2) is None  # several of all steps
+    assert automatic_shorter(26, 15_600, minutes=5, threads=4) == 9_100
+    assert automatic_shorter(40, 24_000, minutes=10, threads=2) is None
 
 
 def test_the_scene_that_waits_is_measured_once(
