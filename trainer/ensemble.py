@@ -26,7 +26,7 @@ from splatview.trainer.distributed import Group
 from splatview.trainer.functional import Visibility
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.progressive import ProgressiveResolution
-from splatview.trainer.settings import TrainSettings, pictures_taught
+from splatview.trainer.settings import LEAST_SCENES, TrainSettings, pictures_taught
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies.mcmc import LEAST_REG
 from splatview.trainer.trainer import Trainer
@@ -60,6 +60,9 @@ MET_AT = 0.6
 """Share of the first scene at which it is decided whether `shorter` ones follow: by then photos that can be
 met well are (`demo hard 40` from 0.55 on, at the end by a loss of 0.016), and the end has not begun."""
 
+FEWEST_STEPS = 0.7
+"""Of the steps of `shorter` scenes, that there must be time for, or there is one long scene."""
+
 
 class EnsembleTrainer(Trainer):
     """A trainer of several scenes, one after the other."""
@@ -83,8 +86,13 @@ class EnsembleTrainer(Trainer):
 
     @property
     def scene_progress(self) -> float:
-        steps, begun = self.counters.iteration - self.first, self.begun or self.counters.prepared
-        return self.settings.progress(steps, self.counters.seconds, begun, shorter=self.is_short)
+        counters, settings = self.counters, self.settings
+        steps, begun = counters.iteration - self.first, self.begun or counters.prepared
+        share = settings.progress(steps, counters.seconds, begun, shorter=self.is_short)
+        if self.is_short and settings.shorter and settings.minutes and self.taught is None:
+            length = (60 * settings.minutes - counters.prepared) / LEAST_SCENES
+            share = max(share, min((counters.seconds - begun) / max(length, 1e-9), 1.0))
+        return share
 
     @property
     def progress(self) -> float:
@@ -177,15 +185,17 @@ class EnsembleTrainer(Trainer):
     def _decide_short(self) -> None:
         """Of photos that are met well a scene still learns, and one that takes its time is better."""
         self.is_short_decided = True
-        several = len(self.views.taken) >= LEAST_PHOTOS
-        rest = 2 + 1 - self.scene_progress
-        self.is_short = several and self.need_of_reg == 1 and self._has_time_for(rest)
+        if self.settings.shorter is None:
+            return
+        photos, steps = len(self.views.taken), self.counters.iteration / self.scene_progress
+        enough = photos >= LEAST_PHOTOS and steps >= FEWEST_STEPS * self.settings.shorter[0]
+        self.is_short = enough and self.need_of_reg == 1
         self.strategy.settings = self._local(self.settings)
 
-    def _has_time_for(self, scenes: float) -> bool:
+    def _has_time_for(self, scenes: int) -> bool:
         """Whether so many more would be whole before the minutes are over."""
         counters, minutes = self.counters, self.settings.minutes or 0.0
-        each = (counters.seconds - counters.prepared) / (len(self.members) or self.scene_progress)
+        each = (counters.seconds - counters.prepared) / len(self.members)
         return SPARE * scenes * each <= 60 * minutes - counters.seconds
 
     def _scenes_in_all(self) -> int:

@@ -263,12 +263,6 @@ def automatic_steps(photos: int, everywhere: bool = False, shown: float = math.i
     become worse. The 10 photos of `banana` miss the one by 0.3 dB in the end, though it comes back (0.0 dB
     on `miku 12 far`); and one photo tells little: there, where nobody stops the run, it falls by 3.9 dB
     while those held out stay within 0.4 dB.
-
-    Dropped: more runs in the minutes that are left. The mean of three runs' pictures is better than they are,
-    by 0.47 dB on `banana`, 0.20 and 0.55 on `miku 12 far` and `near`, 0.56 on `kermit` (one split each); a
-    fourth run that it teaches at 150 cameras between the photos has 0.19, -0.02, 0.22 and 0.09 dB more than
-    the three, and two runs' splats as one scene, each with half its optical depth, 0.25, 0.18, 0.29 and -0.30
-    more than they, of which 0.18 and 0.11 are left of the first and the third after 0.3 of a run together.
     """
     if photos >= FEW_PHOTOS:
         return None
@@ -282,9 +276,9 @@ def automatic_steps(photos: int, everywhere: bool = False, shown: float = math.i
 MEMBERS = 3
 """Scenes that teach a last one, at most. See `ensemble`."""
 
-SHORTER_PER_PHOTO = 350
+LEAST_SHORTER, MOST_SHORTER = 300, 350
 """Steps per photo of each of several scenes where there is time for no longer ones, see
-`automatic_shorter`."""
+`automatic_shorter`: those that there should be time for, and those that are made if there is."""
 
 
 def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> int | None:
@@ -294,12 +288,12 @@ def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> 
     (figures)
     """
     budget = STEPS_OF_A_MINUTE * minutes * min(threads, MOST_THREADS) / 2 / LEAST_SCENES
-    shorter = SHORTER_PER_PHOTO * photos
-    return shorter if shorter <= budget < steps else None
+    return MOST_SHORTER * photos if LEAST_SHORTER * photos <= budget < steps else None
 
 
-LEAST_SCENES = 3.1
-"""Times that one scene takes, of a run of several: two, and one that learns from them and must be whole."""
+LEAST_SCENES = 3.25
+"""Scenes that there must be time for where several are trained: two and one that learns from them, and some
+to spare."""
 
 PICTURES, PICTURE_PIXELS = 150, 50_000_000
 """Pictures by which they do, and the pixels of all of them, at most; of large photos there are two for each

@@ -55,7 +55,7 @@ PUBLIC = {
     "bust": PublicCapture("choose", "alicevision/dataset_buddha", "buddha", 7),
     "mouse": PublicCapture("judge", "Myhan1023/mouse-3d-reconstruction", "images", 6, poses="sparse/0"),
     "statue": PublicCapture(
-        "judge",
+        "choose",
         "PhotogrammetryCourse/PhotogrammetryTasks2024",
         "data/src/datasets/saharov32",
         4,
