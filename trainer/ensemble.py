@@ -57,8 +57,8 @@ and an SSIM of 0.935 in place of 31.50 and 0.940."""
 
 
 MET_AT = 0.6
-"""Share of the first scene at which it is decided whether `shorter` ones follow: by then photos that can be
-met well are (`demo hard 40` from 0.55 on, at the end by a loss of 0.016), and the end has not begun."""
+"""Share of the first scene at which it is decided whether `shorter` ones follow: then the loss of photos that
+can be met well is below `full_reg_loss`, and the end has not begun."""
 
 FEWEST_STEPS = 0.7
 """Of the steps of `shorter` scenes, that there must be time for, or there is one long scene."""
