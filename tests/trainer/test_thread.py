@@ -442,6 +442,8 @@ def test_time_left() -> None:
     assert left(settings=minutes) == 60
     assert left(settings=minutes, seconds=200.0) == 0
     assert left(settings=TrainSettings(iterations=1000, minutes=2.0), rate=100.0) == 6
+    several = TrainSettings(iterations=1000, minutes=10.0, ensemble=3)
+    assert left(settings=several, progress=0.25) == 180, "of all scenes"
 
 
 @pytest.mark.parametrize(
