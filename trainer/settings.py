@@ -286,7 +286,7 @@ def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> 
     and fewer are not; None: `steps`, or one scene alone.
 
     Unless photos are met well: then a long one still learns. Ten minutes of the bench, split 0 each, by one
-    long scene and by two or three short ones and a last: `statue` (21 photos, a loss of 0.076) 19.14 and
+    long scene and by two or three short ones and a last: `statue` (21 photos, a loss of 0.067) 19.14 and
     21.04 dB, `demo hard 40` (26, 0.047, for they are noisy) 30.82 and 30.54, and of those whose loss is below
     0.02, `miku 40 far` (26, 0.016) 27.69 and 27.86, `demo lens 40` (26, 0.014) 37.36 and 35.45. Chosen on
     these; judged by splits of `statue`: docs/training.md.
