@@ -46,10 +46,10 @@ from splatview.trainer.effects import (
 from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
 from splatview.trainer.memory import MemoryPlan
 from splatview.trainer.outliers import disagreeing
-from splatview.trainer.splats import Splats
 from splatview.trainer.views import TrainView
 
 if TYPE_CHECKING:
+    from splatview.trainer.splats import Splats
     from splatview.trainer.trainer import Trainer
 
 CHECKPOINT_SECONDS = 60.0
