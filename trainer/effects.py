@@ -197,7 +197,9 @@ def with_scenes(effects: tuple[Effect, ...], members: int, taught: bool) -> tupl
     why = f"{members} from the same photos, and a last one that learns from them" if taught else ""
     if not taught:
         why = (
-            "there was time for one alone" if members == 1 else "no time for one that learns: the first stays"
+            "one alone: there was no time for another, or its photos are met well"
+            if members == 1
+            else "no time for one that learns: the first stays"
         )
 
     def told(effect: Effect) -> Effect:

@@ -55,7 +55,6 @@ OF_STUDENT = {"opacity_reg": LEAST_REG, "scale_reg": LEAST_REG, "dropout": 0.0, 
 """Settings of the last scene, those of many photos. With those of few, split 0 of `miku 12 near` has 31.25 dB
 and an SSIM of 0.935 in place of 31.50 and 0.940."""
 
-
 MET_AT = 0.6
 """Share of the first scene at which it is decided whether `shorter` ones follow: then the loss of photos that
 can be met well is below `full_reg_loss`, and the end has not begun."""
@@ -142,6 +141,8 @@ class EnsembleTrainer(Trainer):
             self.finished = self.taught = None
             shorter = self.settings.shorter if self.is_short else None
             self.first = self.counters.iteration - (shorter[0] if shorter else self.settings.iterations or 0)
+        elif not self.members:  # an edit of the first one, which takes its time
+            self._take(short=False)
 
     def _view_at(self, place: int, factor: int = 1) -> TrainView:
         if self.taught is not None:
@@ -184,12 +185,12 @@ class EnsembleTrainer(Trainer):
 
     def _decide_short(self) -> None:
         """Of photos that are met well a scene still learns, and one that takes its time is better."""
-        self.is_short_decided = True
-        if self.settings.shorter is None:
-            return
         photos, steps = len(self.views.taken), self.counters.iteration / self.scene_progress
-        enough = photos >= LEAST_PHOTOS and steps >= FEWEST_STEPS * self.settings.shorter[0]
-        self.is_short = enough and self.need_of_reg == 1
+        least = FEWEST_STEPS * self.settings.shorter[0] if self.settings.shorter else 0
+        self._take(short=photos >= LEAST_PHOTOS and steps >= least and self.need_of_reg == 1)
+
+    def _take(self, *, short: bool) -> None:
+        self.is_short, self.is_short_decided = short, True
         self.strategy.settings = self._local(self.settings)
 
     def _has_time_for(self, scenes: int) -> bool:
@@ -257,8 +258,9 @@ class EnsembleTrainer(Trainer):
     def restore_scenes(self, state: dict[str, np.ndarray]) -> None:
         """The inverse, once the rest is restored."""
         first, self.begun, teaches, is_last, goes_on, *short = state["numbers"].tolist()
-        self.is_short, self.is_short_decided = map(bool, short or (True, False))
-        self.strategy.settings = self._local(self.settings)
+        is_short, decided = map(bool, short or (True, False))
+        self._take(short=is_short)
+        self.is_short_decided = decided
         count = sum(name.endswith(".means") for name in state)
         scenes = [
             Parameters(*(state[f"{place}.{name}"] for name in Parameters._fields)) for place in range(count)

@@ -395,6 +395,16 @@ def test_scenes_are_shorter_still_where_steps_take_longer_than_thought(make: Mak
     assert trainer.counters.iteration == STEPS
 
 
+def test_a_short_scene_that_is_edited_takes_its_time(make: Make) -> None:
+    """No other follows it, so that it need not hurry."""
+    trainer = make(**SHORT)
+    run(trainer, lambda: trainer.counters.iteration == 5)
+    trainer.delete(trainer.splats.ids[:3])
+    run(trainer, lambda: trainer.done)
+    assert trainer.counters.iteration == STEPS and not trainer.members
+    assert trainer.strategy.settings.max_splats == 200 and trainer.progress == 1
+
+
 def test_an_end_of_ones_own_is_that_of_every_scene(make: Make) -> None:
     trainer = make(**SHORT)
     trainer.change(max_splats=120)
