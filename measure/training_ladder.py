@@ -53,6 +53,7 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     ),
     *_rungs("SH degree", constant={"sh_degree": 0}, one={"sh_degree": 1}, at_once={"sh_every": 0.0}),
     *_rungs("SH rate", of_the_paper={"sh_divisor": 20.0}),
+    *_rungs("rates of far means", as_of_near_ones={"far_from": math.inf}),
     *_rungs("strategy", classic={"strategy": "classic"}),
     *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
     *_rungs("exposure", off={"exposure": "off"}, on={"exposure": "on"}),

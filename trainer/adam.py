@@ -31,6 +31,8 @@ class SelectiveAdam(Optimizer):
     al. 2024, MCMC); scales below the "least" of "log_scales", world units, are left alone: no photo tells
     them from 0, so that nothing else moves them, and Adam would take them down at full speed for ever. No
     moved splat is left longer than "max_aspect" of "log_scales" times its middle axis: the longest is cut.
+    Means that are farther than the "far_from" of "means" times its "distance" from its "middle" (3,) move the
+    faster, in proportion.
 
     A gradient that is NaN or above 1e18 counts as 0, and so does that of a parameter without one.
     """
@@ -40,7 +42,8 @@ class SelectiveAdam(Optimizer):
     ) -> None:
         """`threads`: of the kernel; None: all cores. May be set at any time."""
         self.threads = threads
-        more: dict[str, dict[str, float]] = {
+        more: dict[str, dict[str, Any]] = {
+            "means": {"middle": (0.0, 0.0, 0.0), "distance": 1.0, "far_from": math.inf},
             "log_scales": {"reg": 0.0, "least": 0.0, "max_aspect": max_aspect},
             "opacity_logits": {"reg": 0.0},
             "sh": {"rest_divisor": REST_DIVISOR},
@@ -86,7 +89,7 @@ class SelectiveAdam(Optimizer):
         """Running averages of the squared gradients, in the memory of the optimiser's state."""
         return Parameters(*(state["exp_avg_sq"].numpy() for state in self._states()))
 
-    def set_options(self, name: str, **options: float) -> None:
+    def set_options(self, name: str, **options: Any) -> None:
         """Sets options of an attribute's group."""
         next(group for group in self.param_groups if group["name"] == name).update(options)
 
@@ -124,7 +127,7 @@ class SelectiveAdam(Optimizer):
             state["step"] = step
         threads = self.threads or available_threads()
         correction = np.sqrt(1 - BETA2**step)
-        _, _, log_scales, opacity_logits, sh = self.param_groups
+        means, _, log_scales, opacity_logits, sh = self.param_groups
         rates = (*self.rates, sh["lr"] / sh["rest_divisor"])
         factors = np.array(rates, np.float32) * np.float32(correction / (1 - BETA1**step))
         count = max(len(parameters[0]), 1)
@@ -134,6 +137,8 @@ class SelectiveAdam(Optimizer):
                 log_scales["reg"] / 3 / count,
                 log_scales["least"],
                 math.log(log_scales["max_aspect"]),
+                *means["middle"],
+                1 / (means["far_from"] * means["distance"]),
             ]
         )
         run(

@@ -93,13 +93,13 @@ def chosen(moves, new, old):
 
 
 @inline
-def move_lanes(values, g, first, second, at, rate, epsilon, moves):
-    """`move_vector` with gradients `g` at hand and one rate, for the lanes where `moves` is 1."""
+def move_lanes(values, g, first, second, at, rates, epsilon, moves):
+    """`move_vector` with gradients `g` at hand, for the lanes where `moves` is 1."""
     g = keep_if_below(g, absolute(g), fill(g, LARGEST))
     value, m, v = load(values, at), load(first, at), load(second, at)
     new_m = fma(fill(g, BETA1), m, fill(g, 1 - BETA1) * g)
     new_v = fma(fill(g, BETA2), v, fill(g, 1 - BETA2) * g * g)
-    step = divide(fill(g, rate) * new_m, sqrt(new_v) + fill(g, epsilon))
+    step = divide(rates * new_m, sqrt(new_v) + fill(g, epsilon))
     store(first, at, chosen(moves, new_m, m))
     store(second, at, chosen(moves, new_v, v))
     store(values, at, chosen(moves, value + negate(step), value))
@@ -130,13 +130,22 @@ def find_masks(indices, begin, masks):
 
 
 @inline
+def reach(i, means, limits):
+    """How many times as far as the radius in `limits` a splat is from the centre there; 1 within."""
+    x, y, z = means[3 * i] - limits[4], means[3 * i + 1] - limits[5], means[3 * i + 2] - limits[6]
+    squared = (x * x + y * y + z * z) * limits[7] * limits[7]
+    return np.sqrt(squared) if 1 < squared < LARGEST else np.float32(1)
+
+
+@inline
 def move_one(i, values, gradients, first, second, factors, epsilon, limits):
     """A splat's step, one number at a time; all but SH."""
     one, nothing = np.float32(1), np.float32(0)
-    for name, width in ((MEANS, 3), (QUATS, 4)):
+    means_rate = factors[MEANS] * reach(i, values[MEANS], limits)
+    for name, width, rate in ((MEANS, 3, means_rate), (QUATS, 4, factors[QUATS])):
         for k in range(width * i, width * (i + 1)):
             values[name][k] = moved(
-                values[name][k], gradients[name][k], first[name], second[name], k, factors[name], epsilon
+                values[name][k], gradients[name][k], first[name], second[name], k, rate, epsilon
             )
     scales, d_scales = values[LOG_SCALES], gradients[LOG_SCALES]
     for k in range(3 * i, 3 * i + 3):
@@ -154,27 +163,32 @@ def move_one(i, values, gradients, first, second, factors, epsilon, limits):
 
 
 @inline
-def move_block(begin, masks, values, gradients, first, second, factors, epsilon, limits):
-    """As `move_one` for the LANES splats from `begin` on, as far as masks (MASKS,) say."""
+def move_block(begin, masks, values, gradients, first, second, factors, epsilon, limits, rates):
+    """As `move_one` for the LANES splats from `begin` on, as far as masks (MASKS,) say. `rates` (3 LANES,):
+    room for those of means."""
+    for lane in range(LANES):
+        rates[3 * lane : 3 * lane + 3] = factors[MEANS] * reach(begin + lane, values[MEANS], limits)
     for k in range(0, 3 * LANES, LANES):
         at, moves = 3 * begin + k, load(masks, OF_THREE + k)
         d_mean = load(gradients[MEANS], at)
-        move_lanes(values[MEANS], d_mean, first[MEANS], second[MEANS], at, factors[MEANS], epsilon, moves)
+        means = values[MEANS], d_mean, first[MEANS], second[MEANS]
+        move_lanes(*means, at, load(rates, k), epsilon, moves)
         scale = exp(load(values[LOG_SCALES], at))
         pull = keep_if_below(fill(scale, limits[1]) * scale, fill(scale, limits[2]), scale)
         d_scale = load(gradients[LOG_SCALES], at) + pull
         scales = values[LOG_SCALES], d_scale, first[LOG_SCALES], second[LOG_SCALES]
-        move_lanes(*scales, at, factors[LOG_SCALES], epsilon, moves)
+        move_lanes(*scales, at, fill(scale, factors[LOG_SCALES]), epsilon, moves)
     for k in range(0, 4 * LANES, LANES):
         at, moves = 4 * begin + k, load(masks, OF_FOUR + k)
         d_quat = load(gradients[QUATS], at)
-        move_lanes(values[QUATS], d_quat, first[QUATS], second[QUATS], at, factors[QUATS], epsilon, moves)
+        quats = values[QUATS], d_quat, first[QUATS], second[QUATS]
+        move_lanes(*quats, at, fill(d_quat, factors[QUATS]), epsilon, moves)
     logit, moves = load(values[OPACITY_LOGITS], begin), load(masks, OF_ONE)
     one = fill(logit, 1.0)
     opacity = divide(one, one + exp(negate(logit)))
     d_logit = load(gradients[OPACITY_LOGITS], begin) + fill(logit, limits[0]) * opacity * (one - opacity)
     logits = values[OPACITY_LOGITS], d_logit, first[OPACITY_LOGITS], second[OPACITY_LOGITS]
-    move_lanes(*logits, begin, factors[OPACITY_LOGITS], epsilon, moves)
+    move_lanes(*logits, begin, fill(logit, factors[OPACITY_LOGITS]), epsilon, moves)
 
 
 @kernel(allocates=True)
@@ -182,13 +196,14 @@ def move(indices, values, gradients, first, second, sh_numbers, factors, epsilon
     """Adam over the splats at `indices`, ascending, while no other thread moves any of the same LANES splats.
 
     values, gradients, first and second: five flat float32 arrays each, in the order of `Parameters`;
-    sh_numbers: how many of SH a splat has; factors (6,), limits (4,) float32.
+    sh_numbers: how many of SH a splat has; factors (6,), limits (8,) float32.
     """
     count, whole = len(values[OPACITY_LOGITS]), sh_numbers // LANES * LANES
     colour_rates = np.full(sh_numbers, factors[SH + 1])
     colour_rates[:3] = factors[SH]
     some, every = aligned(MASKS, np.float32), aligned(MASKS, np.float32)
     every[:] = 1
+    rates = aligned(3 * LANES, np.float32)
     scales, place = values[LOG_SCALES], 0
     while place < len(indices):
         begin, end = np.int64(indices[place]) // LANES * LANES, place
@@ -202,7 +217,7 @@ def move(indices, values, gradients, first, second, sh_numbers, factors, epsilon
             if end - place < LANES:
                 masks = some
                 find_masks(indices[place:end], begin, masks)
-            move_block(begin, masks, values, gradients, first, second, factors, epsilon, limits)
+            move_block(begin, masks, values, gradients, first, second, factors, epsilon, limits, rates)
         if limits[3] < np.inf:
             for i in indices[place:end]:
                 a, b, c = scales[3 * i], scales[3 * i + 1], scales[3 * i + 2]

@@ -86,6 +86,8 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
     arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
     evidence = trainer.resolution.state() | trainer.outliers.state() | trainer.withheld.state()
     evidence["nearest_depths"] = trainer.nearest_depths
+    means = optimizer.param_groups[0]
+    evidence["usual"] = np.array([*means["middle"], means["distance"]])
     arrays |= {f"evidence.{name}": array for name, array in evidence.items()}
     arrays |= {f"scenes.{name}": array for name, array in trainer.scenes_state().items()}
     description = {
@@ -162,6 +164,10 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     trainer.nearest_depths = checkpoint.evidence.get("nearest_depths", np.zeros(len(ours)))
     if trainer.nearest_depths.shape != (len(ours),):
         raise InputError("the checkpoint's depths are not as many as its photos; it is damaged")
+    usual = checkpoint.evidence.get("usual", np.array([0.0, 0.0, 0.0, 1.0]))
+    if usual.shape != (4,) or not np.isfinite(usual).all() or not usual[3] > 0:
+        raise InputError("the checkpoint's middle and distance of the scene are none; it is damaged")
+    optimizer.set_options("means", middle=usual[:3], distance=float(usual[3]))
     if isinstance(trainer, EnsembleTrainer) and checkpoint.scenes:
         trainer.restore_scenes(checkpoint.scenes)
 

@@ -50,6 +50,8 @@ PASSING = "splats of one photo"
 
 FROZEN = "frozen splats"
 
+FAR = "faster far means"
+
 SKY = "sky"
 
 SURROUND = "surround"
@@ -112,6 +114,7 @@ def capture_effects(
         _outliers(len(capture.train), settings),
         _passing(settings),
         _frozen(len(capture.train), settings),
+        _far(capture, settings),
         _masks(capture),
         _lens(capture),
         _antialiased(capture, settings, antialiased),
@@ -253,6 +256,22 @@ def _frozen(photos: int, settings: TrainSettings) -> Effect:
         why = f"of {photos} photos each counts"
     saving = Saving(what=f"the places of all splats in the photos' frames, every {LOOK_STEPS} steps")
     return Effect(name=FROZEN, on=False, why=why, saving=saving)
+
+
+def _far(capture: Capture, settings: TrainSettings) -> Effect:
+    why = "all move alike: photos are few, or show what stands before nothing, or it was asked for"
+    share, radius = 0.0, settings.far_from * capture.usual_distance
+    if radius < math.inf:
+        distances = np.linalg.norm(capture.points - capture.middle, axis=1)
+        share, far = float((distances > radius).mean()), float(np.percentile(distances, 99)) / radius
+        why = f"no point is farther than {radius:.3g} units from the middle of the cameras"
+        if share > 0:
+            why = (
+                f"from {radius:.3g} units from the middle of the cameras on, where {share:.0%} of the points "
+                f"are, in proportion: {far:.1f} times as fast where the farthest percent of these begins"
+            )
+    saving = Saving(what="a distance for each splat of a step")
+    return Effect(name=FAR, on=share > 0, why=why, saving=saving)
 
 
 def _outliers(photos: int, settings: TrainSettings) -> Effect:

@@ -47,6 +47,7 @@ from splatview.trainer.settings import (
     TrainSettings,
     automatic_batch,
     automatic_dropout,
+    automatic_far_from,
     automatic_limit,
     automatic_max_aspect,
     automatic_regularisation,
@@ -115,6 +116,7 @@ def settings_for(
         "shorter": fewer and (fewer, min(limit, automatic_limit(pixels, timed, fewer))),
         "max_aspect": automatic_max_aspect(photos),
         "sh_divisor": automatic_sh_divisor(shown, steps),
+        "far_from": automatic_far_from(photos, everywhere),
         "model": model_for(capture, antialiased),
         "resolution": automatic_levels(
             [(view.camera.width, view.camera.height) for view in views.all],
@@ -199,6 +201,7 @@ def trainer_for(
         loss=loss,
         sky=sky,
     )
+    trainer.optimizer.set_options("means", middle=capture.middle, distance=capture.usual_distance)
     if not (capture.guessed and points is capture.points):  # random points say nothing
         trainer.nearest_depths = nearest_depths(points, views.all)
         # Where splats begin, so that what is decided does not go by how long the run is.

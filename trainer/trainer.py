@@ -258,6 +258,7 @@ class Trainer:
 
         optimizer.zero_grad()  # first, for a step that failed may have left some
         optimizer.threads, optimizer.rates = self.threads, settings.rates(progress, self.extent)
+        optimizer.set_options("means", far_from=settings.far_from_at(progress))
         optimizer.set_options("log_scales", max_aspect=settings.max_aspect / self.need_of_reg)
         optimizer.set_options("sh", rest_divisor=settings.sh_divisor)
         info, loss = self._backward(progress)

@@ -153,6 +153,18 @@ class Capture:
         return EXTENT_MARGIN * radius
 
     @property
+    def middle(self) -> np.ndarray:
+        """(3,) float64, world units: the mean of the training cameras' places."""
+        return np.mean([photo.camera.eye for photo in self.train], axis=0)
+
+    @property
+    def usual_distance(self) -> float:
+        """World units: how far from the `middle` of the cameras most of a scene is. The median of its points,
+        or the `scene_radius` where they stand around it."""
+        distances = np.linalg.norm(self.points - self.middle, axis=1)
+        return max(float(np.median(distances)), self.scene_radius)
+
+    @property
     def centre(self) -> np.ndarray:
         """(3,) float64, world units: what float32 positions should be relative to. 0 where the cameras are
         near the origin, else their mean, rounded: then a position and this add up without loss."""

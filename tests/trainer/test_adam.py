@@ -106,6 +106,32 @@ def test_a_gradient_that_is_no_number_moves_nothing_and_leaves_no_trace(bad: flo
         assert (after[3] != before[3]).all()
 
 
+@pytest.mark.parametrize("bad", [0.0, np.nan, 1e30])
+def test_means_move_in_proportion_to_how_far_they_are(bad: float) -> None:
+    start, gradients = random_parameters(61, 4, 1.0, 0), random_parameters(61, 4, 1.0, 1)
+    start.means[:30] *= 50  # in whole blocks and in the rest after the last one
+    start.means[7, 1] += bad
+    plain, far = Splats(copied(start)), Splats(copied(start))
+    centre, radius = np.array([1.0, -2.0, 0.5]), 4.0
+    for splats in (plain, far):
+        given(splats, gradients)
+        optimizer = SelectiveAdam(splats, RATES._replace(means=1e-2), threads=1)
+        if splats is far:
+            optimizer.set_options("means", middle=centre, distance=radius / 0.5, far_from=0.5)
+        optimizer.step()
+    for name, a, b in zip(Parameters._fields[1:], plain.arrays[1:], far.arrays[1:], strict=True):
+        np.testing.assert_array_equal(a, b, err_msg=name)
+    with np.errstate(over="ignore"):
+        reach = np.maximum(np.linalg.norm(start.means.astype(np.float64) - centre, axis=1) / radius, 1)
+    assert (reach[[*range(6), *range(8, 30)]] > 1).sum() > 20 and (reach[30:] == 1).sum() > 20
+    usable = np.isfinite(start.means).all(axis=1) & (np.abs(start.means) < 1e6).all(axis=1)
+    moved = (far.arrays.means.astype(np.float64) - start.means)[usable]
+    expected = -1e-2 * reach[usable, None] * np.sign(gradients.means[usable])  # Adam's first step
+    np.testing.assert_allclose(moved, expected, atol=2e-5)  # float32 beside places of some 100
+    near = reach == 1
+    np.testing.assert_array_equal(far.arrays.means[near], plain.arrays.means[near])
+
+
 def test_pulls_are_gradients_of_mean_opacity_and_scale() -> None:
     start = random_parameters(40, 1, 1.0, 0)
     splats = Splats(copied(start))

@@ -17,6 +17,7 @@ from splatview.scene.formats import load_scene
 from splatview.trainer.effects import (
     BLOCKS,
     COVERED,
+    FAR,
     FEW_PHOTOS,
     FROZEN,
     OUTLIERS,
@@ -100,6 +101,12 @@ def test_each_effect_names_its_evidence():
     assert not plain[BLOCKS][0] and plain[BLOCKS][1] == "none was asked for"
     assert told(capture([2.0] * 4), withheld=0.06)[BLOCKS] == (True, "6% of each photo until 45% of the run")
 
+    assert not plain[FAR][0] and plain[FAR][1].startswith("all move alike: photos are few")
+    near = told(capture([2.0] * 4), far_from=1.0)[FAR]
+    assert near == (False, "no point is farther than 2.32 units from the middle of the cameras")
+    is_on, why = told(capture([2.0] * 4), far_from=0.3)[FAR]
+    assert is_on and why.startswith("from 0.696 units from the middle of the cameras on, where ")
+
     rich = told(
         capture([2.0] * 4, masks=2, hidden=0.125, lenses=3, displacement=12.3, transparent=1), exposure="on"
     )
@@ -113,6 +120,7 @@ def test_each_effect_names_its_evidence():
         OUTLIERS,
         PASSING,
         FROZEN,
+        FAR,
         SCENES,
     }
     assert "12.50% of all pixels" in rich["masks"][1]

@@ -28,11 +28,14 @@ from splatview.trainer.evaluate import evaluate
 from splatview.trainer.functional import Visibility, dropout
 from splatview.trainer.run import RunProgress
 from splatview.trainer.settings import (
+    FAR_FROM,
     FEW_PHOTOS,
+    FEWEST,
     SH_STEPS,
     TrainSettings,
     automatic_batch,
     automatic_dropout,
+    automatic_far_from,
     automatic_limit,
     automatic_max_aspect,
     automatic_regularisation,
@@ -174,6 +177,33 @@ def test_a_checkpoint_without_what_came_later_resumes(make_trainer, tmp_path: Pa
     restore(resumed, checkpoint)
     run(resumed, 20)
     assert_equal(resumed, whole)
+
+
+def test_far_means_move_faster_at_first_and_after_a_pause(make_trainer, tmp_path: Path) -> None:
+    settings = make_settings(far_from=0.25, far_from_end=1.0)
+    at = [settings.far_from_at(progress) for progress in (0, 0.5, 1)]
+    assert at == pytest.approx([0.25, 0.5, 1]), "the exponential way"
+    assert make_settings(far_from=2.0).far_from_at(0.7) == 2
+    assert make_settings(far_from=math.inf).far_from_at(0.3) == math.inf
+
+    path, options = tmp_path / "run.safetensors", {"far_from": 0.25, "iterations": 60}
+    alike, whole, part = make_trainer(iterations=60), make_trainer(**options), make_trainer(**options)
+    for trainer in (alike, whole, part):
+        trainer.optimizer.set_options("means", middle=(0.1, 0, 0), distance=0.5)
+    for trainer in (alike, whole):
+        run(trainer, 60)
+    assert not np.array_equal(alike.splats.arrays.means, whole.splats.arrays.means)
+    run(part, 25)
+    save_checkpoint(part, path)
+    checkpoint = load_checkpoint(path)
+    resumed = Trainer(part.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2)
+    restore(resumed, checkpoint)
+    run(resumed, 35)
+    assert_equal(resumed, whole)
+    for bad in ([0.0, 0.0, 0.0, 0.0], [np.nan, 0.0, 0.0, 1.0], [1.0]):
+        evidence = checkpoint.evidence | {"usual": np.array(bad)}
+        with pytest.raises(InputError, match="damaged"):
+            restore(resumed, replace(checkpoint, evidence=evidence))
 
 
 def test_checkpoints_of_other_photos_are_refused(make_trainer, views, start, tmp_path: Path) -> None:
@@ -322,6 +352,8 @@ def test_settings_that_make_no_sense_are_named() -> None:
         ({"max_aspect": 0.5}, "max_aspect"),
         ({"dropout": 1.0}, "dropout"),
         ({"sh_divisor": float("nan")}, "sh_divisor"),
+        ({"far_from": float("nan")}, "far_from"),
+        ({"far_from_end": 0.0}, "far_from_end"),
     ):
         with pytest.raises(ValueError, match=name):
             make_settings(**options)
@@ -345,6 +377,8 @@ def test_few_photos_pull_harder_and_drop_more() -> None:
     assert automatic_sh_divisor(1000, SH_STEPS / 2) == many < automatic_sh_divisor(1000, 3 * SH_STEPS) < 20
     assert automatic_sh_divisor(40, 30 * SH_STEPS) == 20, "the paper's is the most, however long the run"
     assert 1 < automatic_max_aspect(13) < automatic_max_aspect(84)
+    assert automatic_far_from(FEWEST, True) == FAR_FROM
+    assert automatic_far_from(FEWEST - 1, True) == automatic_far_from(100, False) == math.inf
     few = [automatic_steps(photos) or 0 for photos in (1, 13, 40)]
     assert few == sorted(few) and few[0] >= 1000 and automatic_steps(84) is None
     opaque = [automatic_steps(photos, everywhere=True) or 0 for photos in range(1, 50)]

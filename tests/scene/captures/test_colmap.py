@@ -39,7 +39,14 @@ def test_scene_radius(tmp_path, colmap_capture):
     cameras = colmap_capture(tmp_path)
     eyes = np.array([camera.eye for camera in cameras[1:8]])
     radius = np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max()
-    assert load_capture(tmp_path).scene_radius == pytest.approx(1.1 * radius)
+    capture = load_capture(tmp_path)
+    assert capture.scene_radius == pytest.approx(1.1 * radius)
+    np.testing.assert_allclose(capture.middle, eyes.mean(axis=0))
+    around = replace(capture, points=eyes.mean(axis=0) + 0.1 * capture.points)
+    assert around.usual_distance == around.scene_radius
+    rays = capture.points / np.linalg.norm(capture.points, axis=1, keepdims=True)
+    ahead = replace(capture, points=eyes.mean(axis=0) + 7 * radius * rays)
+    assert ahead.usual_distance == pytest.approx(7 * radius)
 
 
 def test_by_the_folder_of_the_model_and_with_photos_beside_it(tmp_path, colmap_capture):
