@@ -14,7 +14,7 @@ from typing import Any, Literal
 from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
-from splatview.trainer.adam_kernels import REST_DIVISOR, Rates
+from splatview.trainer.adam_kernels import FAR_FROM, REST_DIVISOR, Rates
 from splatview.trainer.free_space import (
     FEW_VIEWS,
     FEW_VIEWS_ROUNDS,
@@ -119,25 +119,8 @@ def automatic_regularisation(photos: int, covered: float = 1.0) -> float:
     return min(max(1.3 / max(photos, 1), LEAST_REG), MOST_REG) * covered
 
 
-FAR_FROM = 0.25
-
-
 def automatic_far_from(photos: int, everywhere: bool) -> float:
-    """A sensible `far_from` for so many photos; `everywhere`: see `automatic_steps`.
-
-    A rate in units of the scene's extent moves what is ten times as far a tenth as many pixels: houses behind
-    a monument hardly leave where they begin, and splats in the air before single photos stand for them.
-
-    A minute of the bench, split 0 each, all alike and so (docs/training.md). Chosen: `statue` 20.11 and 21.41
-    dB, `demo lens 40` 32.19 and 33.70, `miku` 29.86 and 30.50, `fox` 29.49 and 29.61, but `biker front 24`,
-    before black, 42.92 and 42.70, and of fewer photos `banana` 26.95 and 26.91 (SSIM 0.718 and 0.707) and
-    `beach` 18.70 and 18.25 (of a rate that ends otherwise): what is faster also learns by heart faster.
-
-    Dropped: 0.25 to the end of the run, 21.52, 34.10, 30.44 and 29.76 on the first four, but `banana` 26.65
-    and `biker front 24` 42.31; from 0.1 on, `statue` 21.36, `demo lens 40` 34.51, `fox` 29.15; from 1 on,
-    `statue` 21.30, `demo lens 40` 32.74; four times the rate for all, 20.41, 33.27 and 29.30. Dropped too:
-    to pull scales of far splats less, in proportion, 19.65 on `statue`.
-    """
+    """A sensible `far_from` for so many photos, see `FAR_FROM`; `everywhere`: see `automatic_steps`."""
     return FAR_FROM if everywhere and photos >= FEWEST else math.inf
 
 
