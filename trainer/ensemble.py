@@ -59,7 +59,7 @@ MET_AT = 0.6
 """Share of the first scene at which it is decided whether `shorter` ones follow: then the loss of photos that
 can be met well is below `full_reg_loss`, and the end has not begun."""
 
-FEWEST_STEPS = 0.7
+FEWEST_STEPS = 0.35
 """Of the steps of `shorter` scenes, that there must be time for, or there is one long scene."""
 
 

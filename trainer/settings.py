@@ -200,6 +200,9 @@ def automatic_sh_divisor(shown: float, steps: float = SH_STEPS) -> float:
     Dropped: more than 20 where fewer photos show a place: with 200 `miku 12 far` and `near` have 0.45 and
     0.40 dB less, `kermit` 0.42 more (three, three and two splits; chance is as large).
 
+    Dropped: none where few photos show a place: `bust` 19.35 in place of 18.76 dB, `castle` 16.83 of 17.01,
+    `beach` 18.51 of 18.60 after a minute, `statue` 19.22 of 19.02 after three (three splits each).
+
     Dropped: to make the higher bands decay, by 0.0005 in each step, against what they learn by heart (39.79
     dB on the photos trained on): `skull RGBA 100` at half the size 33.47 dB without, 33.06 with.
     """
@@ -281,9 +284,10 @@ def automatic_steps(photos: int, everywhere: bool = False, shown: float = math.i
 MEMBERS = 3
 """Scenes that teach a last one, at most. See `ensemble`."""
 
-LEAST_SHORTER, MOST_SHORTER = 300, 350
+LEAST_SHORTER, LEAST_CUT, MOST_SHORTER = 300, 120, 350
 """Steps per photo of each of several scenes where there is time for no longer ones, see
-`automatic_shorter`: those that there should be time for, and those that are made if there is."""
+`automatic_shorter`: those that there should be time for, or where there is none for one long scene either,
+and those that are made if there is."""
 
 
 def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> int | None:
@@ -296,8 +300,11 @@ def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> 
     0.02, `miku 40 far` (26, 0.016) 27.69 and 27.86, `demo lens 40` (26, 0.014) 37.36 and 35.45. Chosen on
     these; judged by splits of `statue`: docs/training.md.
 
-    Dropped: still shorter ones in three minutes, 120 per photo, 19.60 in place of 19.56 on `statue` and 27.87
-    in place of 28.00 on `miku 40 far`; 85 per photo and 2.6 times as many for the last, 19.47 and 27.94.
+    Where the minutes also cut a long scene, shorter ones are better still: 20.90 and 21.62 dB after three of
+    `statue`, chosen on that split (judged by the others: docs/training.md).
+
+    Dropped, before far means moved faster: in three minutes 120 steps per photo, 19.60 in place of 19.56 on
+    `statue` and 27.87 of 28.00 on `miku 40 far`; 85 and 2.6 times as many for the last, 19.47 and 27.94.
     Against what `statue` learns by heart in one scene: a dropout of 0.2 and 0.3 in place of 0.12, 19.74 and
     20.00, but `miku 40 far` 27.77; no bands of SH, 19.95, but none for splats in the frames of three photos
     or fewer 19.48; `few_views` of 4, 19.47; blocks withheld, 19.90 (it settles after 3,780 steps), but
@@ -305,7 +312,8 @@ def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> 
     18.41 in place of 20.11.
     """
     budget = STEPS_OF_A_MINUTE * minutes * min(threads, MOST_THREADS) / 2 / LEAST_SCENES
-    return MOST_SHORTER * photos if LEAST_SHORTER * photos <= budget < steps else None
+    least = LEAST_CUT if LEAST_SCENES * budget < steps else LEAST_SHORTER
+    return MOST_SHORTER * photos if least * photos <= budget < steps else None
 
 
 LEAST_SCENES = 3.25

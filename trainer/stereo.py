@@ -9,7 +9,8 @@ Chosen on `playbot RGBA 100` of the bench, which has no points (66 photos to tra
 random points score 33.35 dB on photos held out; those that one other photo confirms, beside the random ones,
 34.76; by two others and alone 36.10. Judged on `skull RGBA 100`: 28.95 and 30.52 dB. Where a capture has
 points enough of its own, more of them do not help: 21.49 and 21.33 dB on `miku 12 far`, 25.57 and 25.54 on
-`miku 20 near`, 28.76 and 28.48 on `banana` (7,427 points) at half the size. See `PIXELS_PER_POINT` for few.
+`miku 20 near`, 28.76 and 28.48 on `banana` (7,427 points) at half the size, 19.56 and 18.62 after three
+minutes of `statue`. See `PIXELS_PER_POINT` for few.
 
 Dropped: agreement of depths through training, 0.3 and 1 times the mean |d/s - 1| (at most 0.2) of the scene's
 depth d and that s of the pixels that two other photos confirm. A minute each, the second picture of a step

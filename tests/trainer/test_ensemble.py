@@ -389,10 +389,10 @@ def test_scenes_are_shorter_still_where_steps_take_longer_than_thought(make: Mak
     assert trainer.is_short and len(trainer.members) == 2
     assert 3 * STEPS // 2 - 12 < trainer.counters.iteration < 3 * STEPS // 2
 
-    trainer = make(**SHORT)
-    run(trainer, lambda: trainer.done, each=0.22)  # 13 steps are too few
-    assert not trainer.is_short and len(trainer.members) == 1
-    assert trainer.counters.iteration == STEPS
+    trainer = make(**SHORT | {"shorter": (STEPS - 2, 150)})
+    run(trainer, lambda: trainer.done, each=0.25)  # 12 steps are too few: all minutes are for one scene
+    assert not trainer.is_short and trainer.scene_progress == 1
+    assert trainer.counters.iteration == 36
 
 
 def test_a_short_scene_that_is_edited_takes_its_time(make: Make) -> None:
@@ -433,13 +433,15 @@ def test_a_checkpoint_knows_how_long_scenes_are(make: Make, tmp_path: Path) -> N
 
 
 def test_how_short_scenes_are() -> None:
-    """350 steps per photo, where there seems to be time for 300."""
+    """350 steps per photo, where there seems to be time for 300, or for 120 and for no long scene."""
     assert automatic_shorter(26, 15_600, minutes=10, threads=2) == 9_100
     assert automatic_shorter(26, 15_600, minutes=3, threads=2) is None  # one alone
     assert automatic_shorter(26, 15_600, minutes=20, threads=2) is None  # several of all steps
     assert automatic_shorter(26, 15_600, minutes=5, threads=4) == 9_100
     assert automatic_shorter(30, 18_000, minutes=10, threads=2) == 10_500
     assert automatic_shorter(33, 19_800, minutes=10, threads=2) is None
+    assert automatic_shorter(21, 12_600, minutes=3, threads=2) == 7_350
+    assert automatic_shorter(24, 14_400, minutes=3, threads=2) is None
 
 
 def test_the_scene_that_waits_is_measured_once(
