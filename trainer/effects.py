@@ -259,19 +259,24 @@ def _frozen(photos: int, settings: TrainSettings) -> Effect:
 
 
 def _far(capture: Capture, settings: TrainSettings) -> Effect:
-    why = "all move alike: photos are few, or show what stands before nothing, or it was asked for"
-    share, radius = 0.0, settings.far_from * capture.usual_distance
-    if radius < math.inf:
-        distances = np.linalg.norm(capture.points - capture.middle, axis=1)
-        share, far = float((distances > radius).mean()), float(np.percentile(distances, 99)) / radius
-        why = f"no point is farther than {radius:.3g} units from the middle of the cameras"
-        if share > 0:
-            why = (
-                f"from {radius:.3g} units from the middle of the cameras on, where {share:.0%} of the points "
-                f"are, in proportion: {far:.1f} times as fast where the farthest percent of these begins"
-            )
     saving = Saving(what="a distance for each splat of a step")
-    return Effect(name=FAR, on=share > 0, why=why, saving=saving)
+    if settings.far_from == math.inf:
+        why = "all move alike: photos are few, or before nothing or a plain colour, or it was asked for"
+        return Effect(name=FAR, on=False, why=why, saving=saving)
+    if capture.guessed:  # random points tell no distance
+        why = f"from {settings.far_from:g} times the distance on at which most splats begin, in proportion"
+        return Effect(name=FAR, on=True, why=why, saving=saving)
+    radius = settings.far_from * capture.usual_distance
+    distances = np.linalg.norm(capture.points - capture.middle, axis=1)
+    farther = distances[distances > radius]
+    why = f"no point is farther than {radius:.3g} units from the middle of the cameras"
+    if len(farther):
+        why = (
+            f"from {radius:.3g} units from the middle of the cameras on, where "
+            f"{len(farther) / len(distances):.0%} of the points are, in proportion: "
+            f"{np.median(farther) / radius:.1f} times as fast at half of these or more"
+        )
+    return Effect(name=FAR, on=len(farther) > 0, why=why, saving=saving)
 
 
 def _outliers(photos: int, settings: TrainSettings) -> Effect:

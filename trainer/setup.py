@@ -201,7 +201,8 @@ def trainer_for(
         loss=loss,
         sky=sky,
     )
-    trainer.optimizer.set_options("means", middle=capture.middle, distance=capture.usual_distance)
+    distance = replace(capture, points=points).usual_distance
+    trainer.optimizer.set_options("means", middle=capture.middle, distance=distance)
     if not (capture.guessed and points is capture.points):  # random points say nothing
         trainer.nearest_depths = nearest_depths(points, views.all)
         # Where splats begin, so that what is decided does not go by how long the run is.

@@ -106,6 +106,8 @@ def test_each_effect_names_its_evidence():
     assert near == (False, "no point is farther than 2.32 units from the middle of the cameras")
     is_on, why = told(capture([2.0] * 4), far_from=0.3)[FAR]
     assert is_on and why.startswith("from 0.696 units from the middle of the cameras on, where ")
+    is_on, why = told(replace(capture([2.0] * 4), guessed=True), far_from=0.3)[FAR]
+    assert is_on and why.startswith("from 0.3 times the distance on at which most splats begin")
 
     rich = told(
         capture([2.0] * 4, masks=2, hidden=0.125, lenses=3, displacement=12.3, transparent=1), exposure="on"
