@@ -154,14 +154,18 @@ def reach(i, means, limits):
 
 @inline
 def move_one(i, values, gradients, first, second, factors, epsilon, limits):
-    """A splat's step, one number at a time; all but SH."""
+    """A splat's step, one number at a time; all but SH.
+
+    Written out: a loop over (attribute, width, rate) was rounded otherwise by the kernel just compiled than by
+    the same one from the cache, so that two processes differed from one by the last bit.
+    """
     one, nothing = np.float32(1), np.float32(0)
-    means_rate = factors[MEANS] * reach(i, values[MEANS], limits)
-    for name, width, rate in ((MEANS, 3, means_rate), (QUATS, 4, factors[QUATS])):
-        for k in range(width * i, width * (i + 1)):
-            values[name][k] = moved(
-                values[name][k], gradients[name][k], first[name], second[name], k, rate, epsilon
-            )
+    means, d_means, rate = values[MEANS], gradients[MEANS], factors[MEANS] * reach(i, values[MEANS], limits)
+    for k in range(3 * i, 3 * i + 3):
+        means[k] = moved(means[k], d_means[k], first[MEANS], second[MEANS], k, rate, epsilon)
+    quats, d_quats = values[QUATS], gradients[QUATS]
+    for k in range(4 * i, 4 * i + 4):
+        quats[k] = moved(quats[k], d_quats[k], first[QUATS], second[QUATS], k, factors[QUATS], epsilon)
     scales, d_scales = values[LOG_SCALES], gradients[LOG_SCALES]
     for k in range(3 * i, 3 * i + 3):
         scale = np.exp(scales[k])
