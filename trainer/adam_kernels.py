@@ -156,8 +156,8 @@ def reach(i, means, limits):
 def move_one(i, values, gradients, first, second, factors, epsilon, limits):
     """A splat's step, one number at a time; all but SH.
 
-    Written out: a loop over (attribute, width, rate) was rounded otherwise by the kernel just compiled than by
-    the same one from the cache, so that two processes differed from one by the last bit.
+    Written out: a loop over (attribute, width, rate) was rounded otherwise by the kernel just compiled than
+    by the same one from the cache, so that two processes differed from one by the last bit.
     """
     one, nothing = np.float32(1), np.float32(0)
     means, d_means, rate = values[MEANS], gradients[MEANS], factors[MEANS] * reach(i, values[MEANS], limits)
