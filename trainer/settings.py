@@ -284,10 +284,10 @@ def automatic_steps(photos: int, everywhere: bool = False, shown: float = math.i
 MEMBERS = 3
 """Scenes that teach a last one, at most. See `ensemble`."""
 
-LEAST_SHORTER, LEAST_CUT, MOST_SHORTER = 300, 120, 350
-"""Steps per photo of each of several scenes where there is time for no longer ones, see
-`automatic_shorter`: those that there should be time for, or where there is none for one long scene either,
-and those that are made if there is."""
+LEAST_SHORTER, LEAST_CUT, MOST_SHORTER = 2 / 3, 120, 350
+"""Where there is time for no longer ones, see `automatic_shorter`: the share of a long scene's steps that
+there should be time for, or the steps per photo where one long scene does not fit either; and the steps per
+photo of each of several scenes, up to a long one's."""
 
 
 def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> int | None:
@@ -312,8 +312,8 @@ def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> 
     18.41 in place of 20.11.
     """
     budget = STEPS_OF_A_MINUTE * minutes * min(threads, MOST_THREADS) / 2 / LEAST_SCENES
-    least = LEAST_CUT if LEAST_SCENES * budget < steps else LEAST_SHORTER
-    return MOST_SHORTER * photos if least * photos <= budget < steps else None
+    least = LEAST_CUT * photos if LEAST_SCENES * budget < steps else LEAST_SHORTER * steps
+    return min(MOST_SHORTER * photos, steps) if least <= budget < steps else None
 
 
 LEAST_SCENES = 3.25

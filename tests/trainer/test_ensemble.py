@@ -433,15 +433,19 @@ def test_a_checkpoint_knows_how_long_scenes_are(make: Make, tmp_path: Path) -> N
 
 
 def test_how_short_scenes_are() -> None:
-    """350 steps per photo, where there seems to be time for 300, or for 120 and for no long scene."""
-    assert automatic_shorter(26, 15_600, minutes=10, threads=2) == 9_100
+    """350 steps per photo, where there seems to be time for two thirds of a long scene's, or for 120 and for
+    no long scene."""
+    assert automatic_shorter(21, 12_600, minutes=10, threads=2) == 7_350
+    assert automatic_shorter(21, 12_600, minutes=5, threads=4) == 7_350
+    assert automatic_shorter(23, 13_800, minutes=10, threads=2) == 8_050
+    assert automatic_shorter(26, 15_600, minutes=10, threads=2) is None  # a long one is better
     assert automatic_shorter(26, 15_600, minutes=3, threads=2) is None  # one alone
     assert automatic_shorter(26, 15_600, minutes=20, threads=2) is None  # several of all steps
-    assert automatic_shorter(26, 15_600, minutes=5, threads=4) == 9_100
-    assert automatic_shorter(30, 18_000, minutes=10, threads=2) == 10_500
-    assert automatic_shorter(33, 19_800, minutes=10, threads=2) is None
     assert automatic_shorter(21, 12_600, minutes=3, threads=2) == 7_350
     assert automatic_shorter(24, 14_400, minutes=3, threads=2) is None
+    assert automatic_shorter(12, 3_866, minutes=3, threads=2) == 3_866  # as many as there is time for
+    assert automatic_shorter(12, 3_866, minutes=4.5, threads=2) is None
+    assert automatic_shorter(10, 4_650, minutes=3, threads=2) is None
 
 
 def test_the_scene_that_waits_is_measured_once(

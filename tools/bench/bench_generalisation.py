@@ -84,6 +84,13 @@ def score(run: dict[str, Any]) -> float:
     return run["psnr_fitted" if run["capture"] in DRIFTING else "psnr_plain"]
 
 
+def mean_of_splits(rounds: list[Round], values: list[float]) -> float:
+    """The mean over splits of the means over their seeds: one run with more seeds does not weigh more."""
+    splits = sorted({split for split, _ in rounds})
+    of_split = {s: [v for (split, _), v in zip(rounds, values, strict=True) if split == s] for s in splits}
+    return float(np.mean([np.mean(found) for found in of_split.values()]))
+
+
 def run_one(
     checkout: Path, key: Key, data: Path, made: Path, fields: list[str], *more: str
 ) -> dict[str, Any]:
@@ -170,7 +177,7 @@ def row_by_marks(
 ) -> list[str]:
     """The cells of a capture, of which a checkout has run `rounds` at `its_marks`, but for the checkout's."""
     by_mark = {m: [runs[name, capture, s, m, seed] for s, seed in rounds] for m in its_marks}
-    scores = {m: float(np.mean([score(run) for run in found])) for m, found in by_mark.items()}
+    scores = {m: mean_of_splits(rounds, [score(run) for run in found]) for m, found in by_mark.items()}
     last = by_mark[its_marks[-1]]
     haze = [run["haze"] for run in last if run["haze"] is not None]
     gains = [later - sooner for sooner, later in pairwise(scores[m] for m in its_marks)]
@@ -215,11 +222,12 @@ def worse_with_time(runs: dict[Key, dict[str, Any]], name: str) -> list[str]:
     for capture in NAMES:
         marks = sorted({key[3] for key in runs if key[0] == name and key[1] == capture})
         for short, long in pairwise(marks):
-            both = [
-                (score(runs[name, capture, s, short, seed]), score(runs[name, capture, s, long, seed]))
-                for s, seed in rounds_of(runs, capture, [name], [short, long])
+            rounds = rounds_of(runs, capture, [name], [short, long])
+            gains = [
+                score(runs[name, capture, s, long, seed]) - score(runs[name, capture, s, short, seed])
+                for s, seed in rounds
             ]
-            change = float(np.mean([b - a for a, b in both])) if both else 0.0
+            change = mean_of_splits(rounds, gains) if rounds else 0.0
             if not change >= -NOISE_DB:
                 lines.append(f"{name}: {capture}: {change:+.2f} dB from {short:g} to {long:g} minutes")
     return lines
