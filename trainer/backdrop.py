@@ -134,6 +134,16 @@ def surround_of_a_step(colour: Sequence[float], seed: Sequence[int]) -> np.ndarr
     return np.clip(colour + SPREAD * np.random.default_rng(seed).uniform(-1, 1, 3), 0, 1)
 
 
+def standing_in(view: TrainView, surround: Sequence[float], colour: np.ndarray) -> TrainView:
+    """A picture that was drawn in front of the surround, with its opacity, in front of another colour, (3,)
+    0 to 1; opaque from then on."""
+    if view.alpha is None:
+        return view
+    empty = 1 - view.alpha[..., None] * np.float32(1 / 255)
+    changed = view.pixels + empty * np.subtract(colour, surround).astype(np.float32) * 255
+    return replace(view, pixels=(np.clip(changed, 0, 255) + 0.5).astype(np.uint8), alpha=None)
+
+
 def standing_before(views: TrainViews, colour: Sequence[float]) -> TrainViews:
     """The photos with what is known to be empty, where `colour` is the backdrop that they have; else they
     themselves."""

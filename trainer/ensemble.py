@@ -232,7 +232,7 @@ class EnsembleTrainer(Trainer):
         views = self.views.taken
         pixels = max(view.camera.width * view.camera.height for view in views)
         count = pictures_taught(len(views), pixels)
-        transparent = any(view.alpha is not None for view in views)
+        transparent = self.settings.surround is not None or any(view.alpha is not None for view in views)
         workspace, pictures = Workspace(), []
         for camera in cameras_between([view.camera for view in views], count, self.settings.seed):
             total = np.zeros((camera.height, camera.width, 4))

@@ -17,7 +17,7 @@ from splatview.raster.frame import StageClock
 from splatview.scene import Gaussians, InputError, RenderSettings
 from splatview.scene.edits import Crop, cropped_in, crops_about
 from splatview.trainer.adam import SelectiveAdam
-from splatview.trainer.backdrop import surround_of_a_step
+from splatview.trainer.backdrop import standing_in, surround_of_a_step
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
 from splatview.trainer.exposure import Exposures
@@ -347,9 +347,10 @@ class Trainer:
                     is_sky = torch.from_numpy(self.state["sky"] > 0)
                     logits = torch.where(is_sky, splats.opacity_logits, logits)
         behind, is_photo = None, view.camera.name in self._rows
-        if settings.surround is not None and is_photo:
+        if settings.surround is not None:
             drawn = surround_of_a_step(settings.surround, (settings.seed, place, 3))
             behind = torch.from_numpy(drawn.astype(self.picture_dtype))
+            view = view if is_photo else standing_in(view, settings.surround, drawn)
         image, info = rasterize(
             *splats._replace(opacity_logits=logits),
             view.camera,

@@ -14,6 +14,7 @@ import pytest
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import InputError, look_at
 from splatview.scene.formats import load_scene
+from splatview.trainer.backdrop import standing_in
 from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.distributed import Alone
@@ -227,17 +228,26 @@ def test_a_run_resumed_for_other_steps_trains_one_scene(make: Make, tmp_path: Pa
 
 
 def test_pictures_are_the_mean_of_what_scenes_show(make: Make) -> None:
+    """Colours and opacity, by which they stand in front of any colour."""
     trainer = make()
     whole(trainer, 3)
     taught = trainer.taught
     assert taught is not None and len(taught) == PICTURES == pictures_taught(6, 48 * 40)
+    shown, other = trainer.shown_settings, (0.5, 0.1, 0.3)
     for view in taught.all[::40]:
-        drawn = [
-            draw_frame(member, view.camera, trainer.shown_settings, Workspace()).image[..., :3]
-            for member in trainer.members
-        ]
+        drawn = [draw_frame(member, view.camera, shown, Workspace()).image for member in trainer.members]
         mean = np.clip(drawn, 0, 1).mean(axis=0)
-        assert np.abs(view.pixels / 255 - mean).max() <= 0.5 / 255 + 1e-6 and view.alpha is None
+        assert view.alpha is not None
+        found = np.dstack([view.pixels, view.alpha]) / 255
+        assert np.abs(found - mean).max() <= 0.5 / 255 + 1e-6
+        before = replace(shown, background=other)
+        drawn = [draw_frame(member, view.camera, before, Workspace()).image for member in trainer.members]
+        mean = np.clip(drawn, 0, 1).mean(axis=0)[..., :3]
+        moved = standing_in(view, shown.background, np.array(other))
+        assert (
+            moved.alpha is None and np.abs(moved.pixels / 255 - mean).max() <= 2 / 255
+        )  # of three roundings
+        assert np.abs(moved.pixels.astype(int) - view.pixels).max() > 20
     looked = [trainer._view_at(place).camera.name for place in range(400)]
     share = sum(name.startswith("between") for name in looked) / len(looked)
     assert 0.72 < share < 0.88
