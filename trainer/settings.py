@@ -301,15 +301,16 @@ def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> 
     these; judged by splits of `statue`: docs/training.md.
 
     Where the minutes also cut a long scene, shorter ones are better still: 20.90 and 21.62 dB after three of
-    `statue`, chosen on that split (judged by the others: docs/training.md).
+    `statue`, chosen on that split (judged by the others: docs/training.md). Two thirds, as after three
+    minutes, three splits, `beach` (0.72 of a long scene's steps) has 18.22 by one and 18.90 by several, but
+    `banana` (0.60) 26.78 and 27.00 with an SSIM of 0.743 and 0.724; both are chosen on.
 
     Dropped, before far means moved faster: in three minutes 120 steps per photo, 19.60 in place of 19.56 on
-    `statue` and 27.87 of 28.00 on `miku 40 far`; 85 and 2.6 times as many for the last, 19.47 and 27.94.
-    Against what `statue` learns by heart in one scene: a dropout of 0.2 and 0.3 in place of 0.12, 19.74 and
-    20.00, but `miku 40 far` 27.77; no bands of SH, 19.95, but none for splats in the frames of three photos
-    or fewer 19.48; `few_views` of 4, 19.47; blocks withheld, 19.90 (it settles after 3,780 steps), but
-    `miku 40 far` never settles: 27.59 in ten minutes; the mean colour behind it, 18.67, and after a minute
-    18.41 in place of 20.11.
+    `statue` and 27.87 of 28.00 on `miku 40 far`. Against what `statue` learns by heart in one scene: a
+    dropout of 0.2 and 0.3 in place of 0.12, 19.74 and 20.00, but `miku 40 far` 27.77; no bands of SH, 19.95,
+    but none for splats in the frames of three photos or fewer 19.48; `few_views` of 4, 19.47; blocks
+    withheld, 19.90 (it settles after 3,780 steps), but `miku 40 far` never settles: 27.59 in ten minutes; the
+    mean colour behind it, 18.67, and after a minute 18.41 in place of 20.11.
     """
     budget = STEPS_OF_A_MINUTE * minutes * min(threads, MOST_THREADS) / 2 / LEAST_SCENES
     least = LEAST_CUT * photos if LEAST_SCENES * budget < steps else LEAST_SHORTER * steps
