@@ -430,14 +430,19 @@ class BackgroundTraining:
 
     def _take_step(self) -> None:
         trainer = self._training_run.trainer
+        if trainer.done:  # by what was posted: no step moves a scene that is whole
+            self._finish()
+            return
         pace = pace_of(self.share, self.cores)
         trainer.threads = pace.threads
-        begun = time.perf_counter()
+        begun, is_shown = time.perf_counter(), trainer.scene is trainer.splats
         progress = self._training_run.step()
         ended = time.perf_counter()
         self._step_due = ended + (ended - begun) * (1 / pace.duty - 1)
         self._unseen = self._unsaved = True
         step = progress.step
+        if is_shown or trainer.scene is trainer.splats:
+            self._shown_at = step.iteration
         self.history.add(step.iteration, trainer.counters.seconds, step.loss, step.gaussians)
         if progress.evaluation is not None:
             self._note_evaluation(progress.evaluation)
@@ -473,8 +478,6 @@ class BackgroundTraining:
         begun = time.perf_counter()
         trainer = self._training_run.trainer
         counters = trainer.counters
-        if trainer.scene is trainer.splats:
-            self._shown_at = counters.iteration
         self._slot.append(
             Snapshot(
                 gaussians=trainer.snapshot(),
@@ -525,7 +528,7 @@ class BackgroundTraining:
         self.on_change()
 
     def _resume(self) -> None:
-        if self._training_run.trainer.done:
+        if self._training_run.trainer.done and self.status.state == "done":
             self._notes.append("The run is over: make it longer to train on")
             return
         self._step_ended = None

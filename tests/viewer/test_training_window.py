@@ -147,6 +147,31 @@ def test_edits_reach_the_trainer_while_it_trains(drive, capture, tmp_path):
     assert [len(settings.cut), len(settings.no_growth)] == [1, 1], "checkpoints keep the rules"
 
 
+def test_an_edit_while_a_later_scene_is_trained_is_of_the_one_shown(drive, capture, tmp_path):
+    """Of several shorter scenes the first is whole and shown meanwhile: who edits it wants it, as it is."""
+    found = drive(
+        "edits_a_later_scene",
+        capture,
+        script=SCRIPT,
+        steps=150,
+        train=["--minutes", "5", "--max-splats", "3000"],
+    )
+    scene, iteration = found["paused_in"]
+    assert scene == 2 and 150 <= iteration < 300
+    assert found["shown_at"] == 150, "the step at which it ended"
+    assert 0 < found["selected"] < found["before"]
+    assert found["after"] == found["before"] - found["selected"] and found["still_there"] == 0
+    assert found["ended_at"] == [1, iteration, 1.0], "the scene was whole: no step moves it"
+    assert found["at_the_end"] == [found["after"], 0]
+    saved, checkpoint = (
+        load_scene(tmp_path / "toy.ply"),
+        load_checkpoint(tmp_path / "toy.checkpoint.safetensors"),
+    )
+    assert len(saved) == found["after"]
+    assert checkpoint.counters.iteration == iteration
+    assert "Traceback" not in found["output"]
+
+
 def test_a_photo_of_a_wrong_pose_is_left_out_and_marked(drive, tmp_path):
     photos = demo_capture(render, photos=16, width=96, height=72, splats=4000)
     save_capture(photos, tmp_path / "pond")

@@ -281,6 +281,49 @@ def end_after(training: LiveTraining, count: int) -> None:
     ).result(200)
 
 
+def edits_a_later_scene(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """Deletes splats of the first of several shorter scenes, which is shown while the second is trained."""
+    training = training_of(app)
+    app.prefer(smooth=False)
+    seen(hand)
+    shorter = (options["steps"], training.status.settings.max_splats)
+    training.thread.post(lambda session: session.trainer.change(shorter=shorter)).result(200)
+    hand.wait(lambda: training.status.scene == 2, "the second scene")
+    hand.ctx.item_click("//Training/###pause")
+    hand.wait(lambda: training.status.state == "paused", "the pause")
+    found["paused_in"] = [training.status.scene, training.status.iteration]
+    hand.wait(
+        lambda: training.shown is not None and training.shown.iteration >= options["steps"],
+        "the first scene as it ended",
+    )
+    hand.press("R")
+    hand.drag(130, 90, over=(0.4, 0.45))
+    hand.wait(
+        lambda: (session := session_of(app)) is not None and session.document.counts.selected > 0,
+        "a selection",
+    )
+    session = session_of(app)
+    assert session is not None and training.shown is not None
+    held, found["shown_at"] = training.shown, training.shown.iteration
+    selected = held.ids[session.document.selected.indices]
+    found["before"], found["selected"] = len(held.ids), len(selected)
+    hand.shoot(options.get("selected"))
+    hand.press("Delete")
+    hand.wait(lambda: training.shown is not held, "the snapshot without them")
+    found["after"], found["still_there"] = (
+        len(training.shown.ids),
+        int(np.isin(selected, training.shown.ids).sum()),
+    )
+    hand.press("Escape")
+    hand.press("Space")
+    hand.wait(lambda: training.status.state == "done", "the end")
+    seen(hand)
+    found["ended_at"] = [training.status.scene, training.status.iteration, training.status.progress]
+    found["at_the_end"] = [len(training.shown.ids), int(np.isin(selected, training.shown.ids).sum())]
+    hand.wait(lambda: not app.waiting, "the picture")
+    hand.shoot(options.get("ended"))
+
+
 def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Select and delete, cut and let nothing grow, while training goes on; and take the rules back."""
     ctx, training = hand.ctx, training_of(app)
@@ -436,7 +479,16 @@ def main() -> int:
 
 functions: dict[str, Callable[[AppState, Hand, dict[str, Any], dict[str, Any]], None]] = {
     function.__name__: function
-    for function in (all_of_it, breaks, plugin_fails, closes, elsewhere, leaves_out, edits)
+    for function in (
+        all_of_it,
+        breaks,
+        plugin_fails,
+        closes,
+        elsewhere,
+        leaves_out,
+        edits,
+        edits_a_later_scene,
+    )
 }
 
 
