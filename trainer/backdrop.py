@@ -71,6 +71,11 @@ any colour at all. `miku 12 far` +0.38, +0.88, +0.97, -0.10, +0.55 dB; 0, 0.3 an
 +0.59, -0.29, `toy` +0.62, +0.36, +0.18, `bust` -0.60, -0.35, -1.19, and `beach` after three minutes +0.31,
 +0.54, +0.56. With 0 a fourth of what the photos of `beach` show are holes still, with 0.3 none.
 
+Dropped, for captures with ENOUGH_PHOTOS: black first, and this in the second half or the last fifth of a
+minute: `statue` (split 0) 20.48 and 20.08 dB in place of 21.50, `miku 40 far` 28.02 in place of 28.09 by the
+half. Nor does it help behind a scene that was trained before black: 18.29 and 24.37 dB, for a fourth of what
+held-out photos of `statue` show has an opacity below 0.9.
+
 Dropped: less of it in the second half of a run, down to none as it ends. `banana` 26.93, 25.18 and 26.81 in
 place of 26.90, 25.18 and 26.73 dB, as they are (27.38, 24.11 and 26.98 before black).
 

@@ -26,7 +26,7 @@ from splatview.trainer.distributed import Group
 from splatview.trainer.functional import Visibility
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.progressive import ProgressiveResolution
-from splatview.trainer.settings import LEAST_SCENES, TrainSettings, pictures_taught
+from splatview.trainer.settings import LEAST_CUT, LEAST_SCENES, LEAST_SHORTER, TrainSettings, pictures_taught
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies.mcmc import LEAST_REG
 from splatview.trainer.trainer import Trainer
@@ -58,10 +58,6 @@ and an SSIM of 0.935 in place of 31.50 and 0.940."""
 MET_AT = 0.6
 """Share of the first scene at which it is decided whether `shorter` ones follow: then the loss of photos that
 can be met well is below `full_reg_loss`, and the end has not begun."""
-
-FEWEST_STEPS = 0.35
-"""Of the steps of `shorter` scenes, that there must be time for, or there is one long scene: 120 per photo,
-by which three minutes of `statue` are better, see `settings.automatic_shorter`."""
 
 
 class EnsembleTrainer(Trainer):
@@ -187,7 +183,8 @@ class EnsembleTrainer(Trainer):
     def _decide_short(self) -> None:
         """Of photos that are met well a scene still learns, and one that takes its time is better."""
         photos, steps = len(self.views.taken), self.counters.iteration / self.scene_progress
-        least = FEWEST_STEPS * self.settings.shorter[0] if self.settings.shorter else 0
+        shorter = self.settings.shorter[0] if self.settings.shorter else 0
+        least = min(LEAST_CUT * photos, LEAST_SHORTER * shorter)
         self._take(short=photos >= LEAST_PHOTOS and steps >= least and self.need_of_reg == 1)
 
     def _take(self, *, short: bool) -> None:

@@ -24,7 +24,7 @@ from splatview.trainer.evaluate import evaluate
 from splatview.trainer.memory import Machine, PhotoSizes, run_memory
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.run import Outputs, RunProgress, TrainingRun
-from splatview.trainer.settings import PICTURES, TrainSettings, automatic_shorter, pictures_taught
+from splatview.trainer.settings import MEMBERS, PICTURES, TrainSettings, automatic_shorter, pictures_taught
 from splatview.trainer.setup import settings_for
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
@@ -330,7 +330,7 @@ def test_the_recipe_has_several_where_photos_are_few(views: list[TrainView], poi
         some = [views[place % len(views)] for place in range(count)]
         return settings_for(capture_of(some, *points), TrainViews(some, 0), **fields)
 
-    assert chosen(6, minutes=5.0).trains_several and chosen(6, minutes=5.0).ensemble == 3
+    assert chosen(6, minutes=5.0).trains_several and chosen(6, minutes=5.0).ensemble == MEMBERS
     for settings in (
         chosen(6),
         chosen(6, iterations=100),
@@ -443,15 +443,15 @@ def test_a_checkpoint_knows_how_long_scenes_are(make: Make, tmp_path: Path) -> N
 
 
 def test_how_short_scenes_are() -> None:
-    """350 steps per photo, where there seems to be time for two thirds of a long scene's, or for 120 and for
+    """4,200 steps, where there seems to be time for two thirds of a long scene's, or for 120 per photo and for
     no long scene."""
-    assert automatic_shorter(21, 12_600, minutes=10, threads=2) == 7_350
-    assert automatic_shorter(21, 12_600, minutes=5, threads=4) == 7_350
-    assert automatic_shorter(23, 13_800, minutes=10, threads=2) == 8_050
+    assert automatic_shorter(21, 12_600, minutes=10, threads=2) == 4_200
+    assert automatic_shorter(21, 12_600, minutes=5, threads=4) == 4_200
+    assert automatic_shorter(23, 13_800, minutes=10, threads=2) == 4_200
     assert automatic_shorter(26, 15_600, minutes=10, threads=2) is None  # a long one is better
     assert automatic_shorter(26, 15_600, minutes=3, threads=2) is None  # one alone
     assert automatic_shorter(26, 15_600, minutes=20, threads=2) is None  # several of all steps
-    assert automatic_shorter(21, 12_600, minutes=3, threads=2) == 7_350
+    assert automatic_shorter(21, 12_600, minutes=3, threads=2) == 4_200
     assert automatic_shorter(24, 14_400, minutes=3, threads=2) is None
     assert automatic_shorter(12, 3_866, minutes=3, threads=2) == 3_866  # as many as there is time for
     assert automatic_shorter(12, 3_866, minutes=4.5, threads=2) is None
