@@ -279,8 +279,8 @@ def automatic_steps(photos: int, everywhere: bool = False, shown: float = math.i
 
 
 MEMBERS = 8
-"""Scenes that teach a last one, at most, see `ensemble`. Ten minutes of the bench, by three and by eight, which
-leave less to chance: `kermit` 18.68 and 18.97 dB, `bust` 18.26 and 18.64, three splits each, both chosen."""
+"""Scenes that teach a last one, at most, see `ensemble`. Ten minutes of the bench by three and eight, which
+leave less to chance: `kermit` 18.68 and 18.97 dB, `bust` 18.26 and 18.64 (three splits each, chosen)."""
 
 LEAST_SHORTER, LEAST_CUT, MOST_SHORTER = 2 / 3, 120, 4_200
 """Where there is time for no longer ones, see `automatic_shorter`: the share of a long scene's steps that

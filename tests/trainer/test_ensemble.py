@@ -443,8 +443,8 @@ def test_a_checkpoint_knows_how_long_scenes_are(make: Make, tmp_path: Path) -> N
 
 
 def test_how_short_scenes_are() -> None:
-    """4,200 steps, where there seems to be time for two thirds of a long scene's, or for 120 per photo and for
-    no long scene."""
+    """4,200 steps, where there seems to be time for two thirds of a long scene's, or for 120 per photo and
+    for no long scene."""
     assert automatic_shorter(21, 12_600, minutes=10, threads=2) == 4_200
     assert automatic_shorter(21, 12_600, minutes=5, threads=4) == 4_200
     assert automatic_shorter(23, 13_800, minutes=10, threads=2) == 4_200
