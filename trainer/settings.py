@@ -303,7 +303,7 @@ def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> 
     minutes, three splits, `beach` (0.72 of a long scene's steps) has 18.22 by one and 18.90 by several, but
     `banana` (0.60) 26.78 and 27.00 with an SSIM of 0.743 and 0.724; both are chosen on. Longer ones are
     fewer: ten minutes of `statue`, three splits, have 20.10 dB and an SSIM of 0.727 by two scenes of 7,350
-    steps, 20.46 and 0.711 by five of MOST_SHORTER (chosen), but three minutes 20.41 and 0.702.
+    steps, 20.46 and 0.711 by five of MOST_SHORTER (chosen), and three minutes 20.45 and 0.701.
 
     Dropped, before far means moved faster, against what `statue` learns by heart in one scene (19.56 dB, and
     28.00 on `miku 40 far`): a dropout of 0.2 and 0.3 in place of 0.12, 19.74 and 20.00, but `miku 40 far`
