@@ -33,7 +33,7 @@ from splatview.trainer.trainer import CUT_STEPS
 from splatview.viewer import app as window
 from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer.app import ATTENDED_SECONDS
-from splatview.viewer.editing.session import Editing, session_of
+from splatview.viewer.editing.session import Editing, EditSession, session_of
 from splatview.viewer.overlays import PHOTO_SIZE, pyramids
 from splatview.viewer.state import AppState
 from splatview.viewer.training.live import LiveTraining
@@ -281,6 +281,19 @@ def end_after(training: LiveTraining, count: int) -> None:
     ).result(200)
 
 
+def select_rectangle(app: AppState, hand: Hand) -> EditSession:
+    """Selects what a rectangle over the middle of the view covers, by mouse."""
+    hand.press("R")
+    hand.drag(130, 90, over=(0.4, 0.45))
+    hand.wait(
+        lambda: (session := session_of(app)) is not None and session.document.counts.selected > 0,
+        "a selection",
+    )
+    session = session_of(app)
+    assert session is not None
+    return session
+
+
 def edits_a_later_scene(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Deletes splats of the first of several shorter scenes, which is shown while the second is trained."""
     training = training_of(app)
@@ -296,14 +309,8 @@ def edits_a_later_scene(app: AppState, hand: Hand, options: dict[str, Any], foun
         lambda: training.shown is not None and training.shown.iteration >= options["steps"],
         "the first scene as it ended",
     )
-    hand.press("R")
-    hand.drag(130, 90, over=(0.4, 0.45))
-    hand.wait(
-        lambda: (session := session_of(app)) is not None and session.document.counts.selected > 0,
-        "a selection",
-    )
-    session = session_of(app)
-    assert session is not None and training.shown is not None
+    session = select_rectangle(app, hand)
+    assert training.shown is not None
     held, found["shown_at"] = training.shown, training.shown.iteration
     selected = held.ids[session.document.selected.indices]
     found["before"], found["selected"] = len(held.ids), len(selected)
@@ -329,14 +336,8 @@ def edits(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, A
     ctx, training = hand.ctx, training_of(app)
     app.prefer(smooth=False)
     seen(hand, 60)
-    hand.press("R")
-    hand.drag(130, 90, over=(0.4, 0.45))
-    hand.wait(
-        lambda: (session := session_of(app)) is not None and session.document.counts.selected > 0,
-        "a selection",
-    )
-    session = session_of(app)
-    assert session is not None and training.shown is not None
+    session = select_rectangle(app, hand)
+    assert training.shown is not None
     held, rectangle = training.shown, session.document.history.done[-1].operation
     assert isinstance(rectangle, Select)
     splats = session.document.selected.indices
