@@ -267,6 +267,8 @@ class BackgroundTraining:
                 self._tell()
                 self._publish()
             answer.set_result(result)
+            if changes and self.status.state == "paused" and self._training_run.trainer.done:
+                self._finish()  # an edit has ended the run, and there is no step that would
 
         self._commands.put(obey)
         return answer

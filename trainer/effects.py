@@ -195,8 +195,11 @@ def with_withheld(effects: tuple[Effect, ...], withheld: Withheld) -> tuple[Effe
     )
 
 
-def with_scenes(effects: tuple[Effect, ...], members: int, taught: bool) -> tuple[Effect, ...]:
-    """The same once so many scenes are whole, and one learns from them or not."""
+def with_scenes(
+    effects: tuple[Effect, ...], members: int, taught: bool, *, edited: bool = False
+) -> tuple[Effect, ...]:
+    """The same once so many scenes are whole, and one learns from them or not; `edited`: as someone's edit
+    has ended that."""
     why = f"{members} from the same photos, and a last one that learns from them" if taught else ""
     if not taught:
         why = (
@@ -204,6 +207,8 @@ def with_scenes(effects: tuple[Effect, ...], members: int, taught: bool) -> tupl
             if members == 1
             else "no time for one that learns: the first stays"
         )
+    if edited:
+        why = "no other follows: the one that was edited stays"
 
     def told(effect: Effect) -> Effect:
         if effect.name == SCENES:

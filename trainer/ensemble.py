@@ -122,12 +122,16 @@ class EnsembleTrainer(Trainer):
         return super()._local(settings)
 
     def delete(self, ids: np.ndarray) -> int:
-        self._stay()
+        self._edit()
         return super().delete(ids)
 
     def crop(self, crops: Sequence[Crop]) -> int:
-        self._stay()
+        self._edit()
         return super().crop(crops)
+
+    def _edit(self) -> None:
+        self.edited = self.edited or not self.is_last or self.finished is not None
+        self._stay()
 
     def _stay(self) -> None:
         """The scene that is shown is the last one, and whole if it was: there is no time for another, or

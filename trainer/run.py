@@ -318,6 +318,7 @@ class TrainingRun:
             self.effects = with_frozen(self.effects, frozen, len(self.trainer.splats))
         if len(self.trainer.members) > scenes:
             self._tell_scenes()
+        self._tell_edit()
         self._tell_easing()
         evaluation = None
         if self.held_out and self._evaluation_is_due(report.iteration):
@@ -369,6 +370,7 @@ class TrainingRun:
             InputError: the scene could not be saved where it should; the message says where it is.
         """
         self.trainer.counters.seconds = self.seconds
+        self._tell_edit()
         self.checkpoint()
         self.save_scene()
 
@@ -428,6 +430,11 @@ class TrainingRun:
             f"{SCENES}: scene {count} is done at step {trainer.counters.iteration:,}; {follows}; until that"
             " is done, the first one is shown and saved"
         )
+
+    def _tell_edit(self) -> None:
+        trainer = self.trainer
+        if trainer.edited:
+            self.effects = with_scenes(self.effects, len(trainer.members), taught=False, edited=True)
 
     def _tell_easing(self) -> None:
         """Notes by what share the rules for few photos are in force, where that has changed by a quarter.

@@ -54,8 +54,7 @@ CUT_STEPS = 10
 """Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
 
 CLEAR_STEPS = 4
-"""Steps of which one looks for splats before its photo's camera, and for wide ones: the first in each took
-2 % of their time."""
+"""Steps of which one looks for splats before its photo's camera, and for wide ones: in each 2 % of the time."""
 
 
 class Trainer:
@@ -100,6 +99,8 @@ class Trainer:
         """Steps and seconds before the present scene: where a run trains several, see `ensemble`."""
         self.members: list[Parameters] = []
         """Scenes that are whole, where it trains several."""
+        self.edited = False
+        """Whether someone's edit has ended that."""
         self.taught: TrainViews | None = None
         """Pictures of these that the present scene learns from besides."""
         self.clock = StageClock()
@@ -118,8 +119,7 @@ class Trainer:
         self._differences: list[float] = []
         """Of this step's pictures to their photos, while these are small."""
         self._unseen = 0.0
-        """Photos that have shown no splat, as long as none has; NaN from the first that shows one on: later
-        edits and rules may take out of sight what there is."""
+        """Photos that have shown no splat, as long as none has; then NaN, for edits may take it out of sight."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
         self.passed: int | None = None
         """Splats of one photo alone that went as the run ended, see `free_space`; None: nobody has looked."""

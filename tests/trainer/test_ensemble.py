@@ -146,6 +146,29 @@ def test_the_first_scene_is_shown_and_saved_until_the_last_is_whole(make: Make) 
     assert trainer.scene.ids is ids
 
 
+def test_a_run_says_that_an_edit_ended_it(
+    make: Make, tmp_path: Path, views: list[TrainView], points: Any
+) -> None:
+    """Whether it is of a whole scene, beside which another is trained, or of the first one."""
+    for steps, members in ((STEPS + 3, 1), (3, 0)):
+        trainer = make()
+        effects = capture_effects(capture_of(views[::3], *points), trainer.settings, "auto")
+        outputs = Outputs(
+            scene=tmp_path / "a.ply",
+            checkpoint=tmp_path / "a.safetensors",
+            metrics=None,
+            pictures=tmp_path / "p",
+        )
+        going = TrainingRun(trainer, [], outputs, started=time.perf_counter(), effects=effects)
+        while trainer.counters.iteration < steps:
+            going.step()
+        assert len(trainer.members) == members
+        trainer.delete(trainer.scene.ids[:3])
+        assert going.run()
+        told = next(one for one in going.effects if one.name == SCENES)
+        assert not told.on and "edited" in told.why
+
+
 def test_an_edit_keeps_the_scene_that_is_seen(make: Make) -> None:
     trainer = make()
     whole(trainer, 2)

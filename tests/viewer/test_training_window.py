@@ -163,6 +163,7 @@ def test_an_edit_while_a_later_scene_is_trained_is_of_the_one_shown(drive, captu
     assert found["after"] == found["before"] - found["selected"] and found["still_there"] == 0
     assert found["ended_at"] == [1, iteration, 1.0], "the scene was whole: no step moves it"
     assert found["at_the_end"] == [found["after"], 0]
+    assert found["reports"] == "no other follows: the one that was edited stays"
     saved, checkpoint = (
         load_scene(tmp_path / "toy.ply"),
         load_checkpoint(tmp_path / "toy.checkpoint.safetensors"),

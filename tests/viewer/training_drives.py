@@ -29,6 +29,7 @@ from splatview.edit.tools import NoTools
 from splatview.raster.compiling import niceness
 from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits
+from splatview.trainer.effects import SCENES
 from splatview.trainer.trainer import CUT_STEPS
 from splatview.viewer import app as window
 from splatview.viewer import dialogs as file_dialogs
@@ -322,9 +323,9 @@ def edits_a_later_scene(app: AppState, hand: Hand, options: dict[str, Any], foun
         int(np.isin(selected, training.shown.ids).sum()),
     )
     hand.press("Escape")
-    hand.press("Space")
-    hand.wait(lambda: training.status.state == "done", "the end")
+    hand.wait(lambda: training.status.state == "done", "the end")  # nothing to go on with
     seen(hand)
+    found["reports"] = next(one.why for one in training.thread.effects if one.name == SCENES)
     found["ended_at"] = [training.status.scene, training.status.iteration, training.status.progress]
     found["at_the_end"] = [len(training.shown.ids), int(np.isin(selected, training.shown.ids).sum())]
     hand.wait(lambda: not app.waiting, "the picture")
