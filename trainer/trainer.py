@@ -54,7 +54,7 @@ CUT_STEPS = 10
 """Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
 
 CLEAR_STEPS = 4
-"""Steps of which one looks for splats before its photo's camera, and for wide ones: in each 2 % of the time."""
+"""Steps of which one looks for splats before its photo's camera, and for wide ones: in each, 2 % of time."""
 
 
 class Trainer:
@@ -119,7 +119,7 @@ class Trainer:
         self._differences: list[float] = []
         """Of this step's pictures to their photos, while these are small."""
         self._unseen = 0.0
-        """Photos that have shown no splat, as long as none has; then NaN, for edits may take it out of sight."""
+        """Photos that have shown no splat, until one does; then NaN, for edits may take it out of sight."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
         self.passed: int | None = None
         """Splats of one photo alone that went as the run ended, see `free_space`; None: nobody has looked."""
