@@ -221,7 +221,7 @@ def make_trainer(capture: Capture, rung: TrainingRung, minutes: float, seed: int
     views = TrainViews(train_views(capture.train), seed)
     settings = settings_for(capture, views, minutes=minutes, seed=seed)
     settings, precision, early_stop = changed(settings, rung)
-    trainer = trainer_for(capture, views, settings, centre=np.zeros(3))
+    trainer = trainer_for(capture, views, settings, centre=np.zeros(3), asked=rung.changes)
     if precision is not None:
         trainer.picture_dtype = PRECISIONS[precision]
     if early_stop is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -164,11 +164,13 @@ def trainer_for(
     threads: int | None = None,
     group: Group | None = None,
     loss: LossPlugin | None = None,
+    asked: Collection[str] = (),
     on_note: Callable[[str], object] = lambda note: None,
     progress: Progress = NO_PROGRESS,
 ) -> Trainer:
     """A trainer at its start: splats at the capture's points, or where stereo finds surfaces. `capture` and
-    `views` are about `centre`; `on_note` is told what stereo and a look for a sky have found. Raises
+    `views` are about `centre`; `asked` names fields of `settings` that somebody has chosen, which none of
+    several scenes does without; `on_note` is told what stereo and a look for a sky have found. Raises
     Cancelled."""
     extent = capture.scene_radius
     if settings.backdrop == "auto":
@@ -201,6 +203,8 @@ def trainer_for(
         loss=loss,
         sky=sky,
     )
+    if isinstance(trainer, EnsembleTrainer):
+        trainer.asked |= set(asked)
     distance = replace(capture, points=points).usual_distance
     trainer.optimizer.set_options("means", middle=capture.middle, distance=distance)
     if not (capture.guessed and points is capture.points):  # random points say nothing
@@ -288,7 +292,7 @@ def train(
     capture = capture.about(centre)
     views = TrainViews(train_views(capture.train), settings.get("seed", 0))
     recipe = settings_for(capture, views, iterations=iterations, minutes=minutes, threads=threads, **settings)
-    trainer = trainer_for(capture, views, recipe, centre=centre, threads=threads, loss=plugin)
+    trainer = trainer_for(capture, views, recipe, centre=centre, threads=threads, loss=plugin, asked=settings)
     with kernel_threads_only():
         try:
             while not trainer.done:

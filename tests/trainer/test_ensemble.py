@@ -79,6 +79,22 @@ def test_three_scenes_and_one_that_learns_from_them(make: Make) -> None:
     assert trainer.scene is trainer.splats and len(trainer.members) == 3
 
 
+def test_the_last_scene_has_what_somebody_has_asked_for(make: Make, tmp_path: Path) -> None:
+    trainer, path = make(), tmp_path / "run.safetensors"
+    trainer.change(dropout=0.3)
+    whole(trainer, 2)
+    save_checkpoint(trainer, path)
+    checkpoint = load_checkpoint(path)
+    resumed = EnsembleTrainer(
+        trainer.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2
+    )
+    restore(resumed, checkpoint)
+    for one in (trainer, resumed):
+        whole(one, 3)
+        assert one.taught is not None
+        assert one.settings == replace(checkpoint.settings, **OF_STUDENT | {"dropout": 0.3})
+
+
 @pytest.mark.parametrize(
     ("minutes", "scenes"), [(10.0, 4), (0.3, 4), (0.25, 3), (0.2, 1), (0.1, 1)]
 )  # a scene takes 4 s
