@@ -263,7 +263,8 @@ class EnsembleTrainer(Trainer):
         """Arrays by name, for checkpoints."""
         numbers = (
             *(self.first, self.begun, self.taught is not None, self.is_last, self.finished is not None),
-            *(self.is_short, self.is_short_decided, *(name in self.asked for name in OF_STUDENT)),
+            *(self.is_short, self.is_short_decided, self.edited),
+            *(name in self.asked for name in OF_STUDENT),
         )
         arrays = {"numbers": np.array(numbers, np.float64)}
         arrays |= {"sky": self.initial_sky, "finished_sky": self.finished_sky}
@@ -274,7 +275,7 @@ class EnsembleTrainer(Trainer):
     def restore_scenes(self, state: dict[str, np.ndarray]) -> None:
         """The inverse, once the rest is restored."""
         first, self.begun, teaches, is_last, goes_on, *short = state["numbers"].tolist()
-        is_short, decided, *asked = map(bool, short or (True, False))
+        is_short, decided, self.edited, *asked = map(bool, (*short, *(True, False, False)[len(short) :]))
         self.asked = {name for name, chosen in zip(OF_STUDENT, asked, strict=False) if chosen}
         self._take(short=is_short)
         self.is_short_decided = decided

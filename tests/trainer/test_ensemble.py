@@ -183,6 +183,12 @@ def test_a_run_says_that_an_edit_ended_it(
         assert going.run()
         told = next(one for one in going.effects if one.name == SCENES)
         assert not told.on and "edited" in told.why
+        checkpoint = load_checkpoint(outputs.checkpoint)
+        resumed = EnsembleTrainer(
+            trainer.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2
+        )
+        restore(resumed, checkpoint)
+        assert resumed.edited and resumed.done
 
 
 def test_an_edit_keeps_the_scene_that_is_seen(make: Make) -> None:
