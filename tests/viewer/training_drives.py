@@ -30,6 +30,7 @@ from splatview.raster.compiling import niceness
 from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits
 from splatview.trainer.effects import SCENES
+from splatview.trainer.run import TrainingRun
 from splatview.trainer.trainer import CUT_STEPS
 from splatview.viewer import app as window
 from splatview.viewer import dialogs as file_dialogs
@@ -300,14 +301,20 @@ def edits_a_later_scene(app: AppState, hand: Hand, options: dict[str, Any], foun
     training = training_of(app)
     app.prefer(smooth=False)
     seen(hand)
-    shorter = (options["steps"], training.status.settings.max_splats)
-    training.thread.post(lambda session: session.trainer.change(shorter=shorter)).result(200)
+
+    def shorten(run: TrainingRun) -> int:
+        """Scenes end so many steps from now, however many have been taken before a snapshot was shown."""
+        steps = run.trainer.counters.iteration + options["steps"]
+        run.trainer.change(shorter=(steps, run.trainer.settings.max_splats))
+        return steps
+
+    steps = found["steps"] = training.thread.post(shorten).result(200)
     hand.wait(lambda: training.status.scene == 2, "the second scene")
     hand.ctx.item_click("//Training/###pause")
     hand.wait(lambda: training.status.state == "paused", "the pause")
     found["paused_in"] = [training.status.scene, training.status.iteration]
     hand.wait(
-        lambda: training.shown is not None and training.shown.iteration >= options["steps"],
+        lambda: training.shown is not None and training.shown.iteration >= steps,
         "the first scene as it ended",
     )
     session = select_rectangle(app, hand)
