@@ -63,6 +63,14 @@ def assert_same(one: Parameters, other: Parameters) -> None:
         assert np.array_equal(a, b)
 
 
+def resumed_from(path: Path, views: TrainViews) -> EnsembleTrainer:
+    """A trainer that goes on where a checkpoint was written."""
+    checkpoint = load_checkpoint(path)
+    trainer = EnsembleTrainer(views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2)
+    restore(trainer, checkpoint)
+    return trainer
+
+
 def test_three_scenes_and_one_that_learns_from_them(make: Make) -> None:
     trainer = make()
     before, recipe = trainer.splats.ids, trainer.settings
@@ -83,16 +91,13 @@ def test_the_last_scene_has_what_somebody_has_asked_for(make: Make, tmp_path: Pa
     trainer, path = make(), tmp_path / "run.safetensors"
     trainer.change(dropout=0.3)
     whole(trainer, 2)
+    recipe = trainer.settings
     save_checkpoint(trainer, path)
-    checkpoint = load_checkpoint(path)
-    resumed = EnsembleTrainer(
-        trainer.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2
-    )
-    restore(resumed, checkpoint)
+    resumed = resumed_from(path, trainer.views)
     for one in (trainer, resumed):
         whole(one, 3)
         assert one.taught is not None
-        assert one.settings == replace(checkpoint.settings, **OF_STUDENT | {"dropout": 0.3})
+        assert one.settings == replace(recipe, **OF_STUDENT | {"dropout": 0.3})
 
 
 @pytest.mark.parametrize(
@@ -183,11 +188,7 @@ def test_a_run_says_that_an_edit_ended_it(
         assert going.run()
         told = next(one for one in going.effects if one.name == SCENES)
         assert not told.on and "edited" in told.why
-        checkpoint = load_checkpoint(outputs.checkpoint)
-        resumed = EnsembleTrainer(
-            trainer.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2
-        )
-        restore(resumed, checkpoint)
+        resumed = resumed_from(outputs.checkpoint, trainer.views)
         assert resumed.edited and resumed.done
 
 
@@ -218,11 +219,7 @@ def test_what_is_a_sky_stays_one(make: Make, tmp_path: Path) -> None:
     trainer.step(trainer.counters.seconds + 0.1)
     assert np.array_equal(trainer.splats.arrays.means[trainer.state["sky"] > 0], far)
     save_checkpoint(trainer, path)
-    checkpoint = load_checkpoint(path)
-    resumed = EnsembleTrainer(
-        trainer.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2
-    )
-    restore(resumed, checkpoint)
+    resumed = resumed_from(path, trainer.views)
     for one in (trainer, resumed):
         one.delete(one.scene.ids[:3])
         assert len(one.state["sky"]) == len(one.splats) == len(one.members[0].means) - 3
@@ -245,11 +242,7 @@ def test_a_resumed_run_goes_on_bit_for_bit(make: Make, tmp_path: Path, steps: in
     straight, part = make(), make()
     run(part, lambda: part.counters.iteration == steps)
     save_checkpoint(part, path)
-    checkpoint = load_checkpoint(path)
-    resumed = EnsembleTrainer(
-        part.views, checkpoint.parameters, checkpoint.extent, checkpoint.settings, threads=2
-    )
-    restore(resumed, checkpoint)
+    resumed = resumed_from(path, part.views)
     assert_same(resumed.scene.arrays, part.scene.arrays)
     for one in (straight, resumed):
         run(one, lambda one=one: one.done)
