@@ -79,12 +79,14 @@ def effect_line(effect: Effect) -> str:
     return f"  {'on ' if effect.in_force else 'off'}  {effect.name}: {effect.why}"
 
 
-def evaluation_line(progress: RunProgress) -> str:
+def evaluation_line(progress: RunProgress, photos: int) -> str:
+    """Where a run stands that was just measured, by some of so many held-out photos."""
     step, evaluation = progress.step, progress.evaluation
     assert evaluation is not None
+    some = f" ({len(evaluation.scores)} of {photos} photos)" if len(evaluation.scores) < photos else ""
     return (
         f"step {step.iteration:>7,}  {progress.seconds:7.1f} s  {step.gaussians:>9,} splats"
-        f"  held out: {evaluation.psnr:.2f} dB, SSIM {evaluation.ssim:.4f}"
+        f"  held out: {evaluation.psnr:.2f} dB, SSIM {evaluation.ssim:.4f}{some}"
     )
 
 
@@ -290,7 +292,12 @@ def make_parser() -> Parser:
         metavar="N",
         help=f"steps (default: {PAPER_ITERATIONS:,}, fewer for few photos)",
     )
-    group.add_argument("--minutes", type=positive, metavar="M", help="end after M minutes, all included")
+    group.add_argument(
+        "--minutes",
+        type=positive,
+        metavar="M",
+        help="train for M minutes, all included but what is compiled once and the last measurement",
+    )
     group = parser.add_argument_group("recipe")
     group.add_argument(
         "--downscale",
@@ -491,8 +498,13 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
 
         def show(progress: RunProgress) -> None:
             if progress.evaluation is not None:
-                say(bar.console, evaluation_line(progress))
+                say(bar.console, evaluation_line(progress, len(ready.held_out)))
             bar.update(task, completed=progress.step.progress, numbers=numbers(progress, session.evaluation))
+
+        def show_measured(done: int, photos: int) -> None:
+            if trainer.done:
+                step = f"step {trainer.counters.iteration:,}"
+                bar.update(task, numbers=f"{step}  {done} of {photos} held-out photos measured")
 
         session = TrainingRun(
             trainer,
@@ -505,6 +517,7 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
             memory=ready.memory,
             on_progress=show,
             on_note=lambda note: say(bar.console, note, "yellow"),
+            on_measured=show_measured,
         )
         try:
             with stopping_between_steps(trainer.group):
@@ -512,13 +525,14 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
         except (PeerLost, PluginError) as error:
             kept = _as_far(outputs) if session.has_trained else NOTHING_TRAINED
             raise InputError(f"{error}; {kept}") from None
-    if not completed:
-        say(
-            console,
-            f"stopped at step {trainer.counters.iteration:,}: {_as_far(outputs)}",
-        )
-        return EXIT_INTERRUPTED
-    evaluation = session.final_evaluation()
+        if not completed:
+            say(console, f"stopped at step {trainer.counters.iteration:,}: {_as_far(outputs)}")
+            return EXIT_INTERRUPTED
+        try:
+            evaluation = session.final_evaluation()
+        except KeyboardInterrupt:
+            say(console, f"{outputs.scene} is whole, and was not measured on the held-out photos")
+            return EXIT_INTERRUPTED
     print_summary(make_console(stderr=False), trainer, evaluation, outputs)
     return 0
 

@@ -13,8 +13,9 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -26,12 +27,14 @@ from splatview.scene import Gaussians, InputError
 from splatview.scene.effects.effect import Effect
 from splatview.scene.formats import save_scene
 from splatview.trainer.checkpoint import save_checkpoint
-from splatview.trainer.counters import PluginError
+from splatview.trainer.counters import History, PluginError
 from splatview.trainer.evaluate import Evaluation
 from splatview.trainer.run import TrainingRun
 from splatview.trainer.settings import TrainSettings
 
 State = Literal["training", "paused", "done", "failed"]
+
+MEASURING = "Measuring held-out photos"
 
 LEAST_SHARE = 0.02
 """Smallest share of the cores: less would look like a program that hangs."""
@@ -112,57 +115,6 @@ class Status:
         return max(min(left), 0.0) if left else None
 
 
-LIMIT = 4096
-"""Rows kept: more than a plot has pixels."""
-
-
-class History:
-    """Rows of numbers, one a step. When full, pairs become their means: the whole run stays in view."""
-
-    def __init__(self, columns: Sequence[str], limit: int = LIMIT) -> None:
-        """`limit`: an even number of rows, at least 2."""
-        if not (limit >= 2 and limit % 2 == 0):
-            raise ValueError(f"limit must be even and at least 2, got {limit}")
-        self._columns = {name: place for place, name in enumerate(columns)}
-        self._limit = limit
-        self._stride = 1
-        self._sum, self._summed = np.zeros(len(self._columns)), 0
-        # Replaced as a whole, so that a reader sees rows and their number together. Rows below the number
-        # are never written again.
-        self._kept: tuple[np.ndarray, int] = (np.empty((len(self._columns), limit)), 0)
-
-    def add(self, *values: float) -> None:
-        """One row, in the order of the columns. Only one thread may call this."""
-        self._sum += values
-        self._summed += 1
-        if self._summed < self._stride:
-            return
-        rows, count = self._kept
-        if count == self._limit:
-            halved = np.empty_like(rows)
-            halved[:, : count // 2] = (rows[:, ::2] + rows[:, 1::2]) / 2
-            rows, count = halved, count // 2
-            self._stride *= 2
-            self._kept = (rows, count)
-            if self._summed < self._stride:
-                return
-        rows[:, count] = self._sum / self._summed
-        self._kept = (rows, count + 1)
-        self._sum, self._summed = np.zeros(len(self._columns)), 0
-
-    def __len__(self) -> int:
-        """Rows that can be read."""
-        return self._kept[1]
-
-    def read(self, *names: str) -> list[np.ndarray]:
-        """The columns of these names, each (rows,) float64, contiguous, of one moment. Not to be written to.
-
-        Each row is the mean of as many steps as were merged, the same number in all rows.
-        """
-        rows, count = self._kept
-        return [rows[self._columns[name], :count] for name in names]
-
-
 Answer = TypeVar("Answer")
 
 PUBLISH_SHARE = 0.02
@@ -231,7 +183,7 @@ class BackgroundTraining:
             loss=math.nan,
         )
         """Replaced, never changed."""
-        training_run.on_note = self._notes.append
+        training_run.on_note, training_run.on_measured = self._notes.append, self._measured
         self._publish()
         self._begun = threading.Event()
         self._thread.start()
@@ -310,11 +262,8 @@ class BackgroundTraining:
         """Writes the scene as it stands, in the format of the suffix."""
 
         def save(training_run: TrainingRun) -> Path:
-            self._tell(activity="Saving")
-            try:
+            with self._doing("Saving"):
                 save_scene(training_run.trainer.snapshot(), path)
-            finally:
-                self._tell(activity="")
             self._notes.append(f"Scene saved at step {training_run.trainer.counters.iteration:,}: {path}")
             return path
 
@@ -339,11 +288,8 @@ class BackgroundTraining:
         def measure(training_run: TrainingRun) -> Evaluation | None:
             if not training_run.held_out:
                 return None
-            self._tell(activity="Measuring held-out photos")
-            try:
+            with self._doing(MEASURING):
                 evaluation = training_run.evaluate()
-            finally:
-                self._tell(activity="")
             self._note_evaluation(evaluation)
             return evaluation
 
@@ -423,7 +369,7 @@ class BackgroundTraining:
             self._training_run.stopwatch.pause()
             self._unseen = True
             self._sound = isinstance(error, PluginError)  # a step with such a loss has not happened
-            self._tell(state="failed", failure=one_line(error), rate=0.0)
+            self._tell(state="failed", failure=one_line(error), rate=0.0, activity="")
             try:
                 self._publish()
             except Exception as again:  # what is shown stays
@@ -448,7 +394,7 @@ class BackgroundTraining:
         self.history.add(step.iteration, trainer.counters.seconds, step.loss, step.gaussians)
         if progress.evaluation is not None:
             self._note_evaluation(progress.evaluation)
-        self._tell(loss=step.loss, rate=self._rate_after(ended))
+        self._tell(loss=step.loss, rate=self._rate_after(ended), activity="")
         if trainer.done:
             self._finish()
         elif self._steps_wanted > 0:
@@ -518,7 +464,8 @@ class BackgroundTraining:
 
     def _note_evaluation(self, evaluation: Evaluation) -> None:
         counters = self._training_run.trainer.counters
-        self.evaluations.add(counters.iteration, counters.seconds, evaluation.psnr, evaluation.ssim)
+        watched = evaluation.among({view.camera.name for view in self._training_run.watched})
+        self.evaluations.add(counters.iteration, counters.seconds, watched.psnr, watched.ssim)
         self._tell(evaluation=evaluation, evaluated_at=counters.iteration)
 
     def _pause(self) -> None:
@@ -563,31 +510,40 @@ class BackgroundTraining:
         self.on_change()
         try:
             self._keep()
-            self._tell(activity="Measuring held-out photos")
-            evaluation = self._training_run.final_evaluation()
+            with self._doing(MEASURING):
+                evaluation = self._training_run.final_evaluation()
             if evaluation is not None:
+                self._note_evaluation(evaluation)
                 self._notes.append(
                     f"Held out: {evaluation.psnr:.2f} dB; side by side in {self.outputs.pictures}"
                 )
         except Exception as error:
             self._note(error)
-        self._tell(activity="")
         self.on_change()
+
+    @contextmanager
+    def _doing(self, activity: str) -> Iterator[None]:
+        self._tell(activity=activity)
+        try:
+            yield
+        finally:
+            self._tell(activity="")
+
+    def _measured(self, done: int, photos: int) -> None:
+        self._tell(activity=f"{MEASURING} ({done} of {photos})")
 
     def _keep(self) -> None:
         """Writes scene and checkpoint. After a failure, but of the user's loss, the checkpoint is left as it
         was before: that one is known to be good. Raises InputError: the scene could not be saved where it
         should."""
-        self._tell(activity="Saving")
-        try:
-            if self.status.state == "failed" and not self._sound:
-                self._training_run.save_scene()
-            else:
-                self._training_run.keep()
-        finally:
-            # Where it went elsewhere, it is saved all the same.
-            self._unsaved = False
-            self._tell(activity="")
+        with self._doing("Saving"):
+            try:
+                if self.status.state == "failed" and not self._sound:
+                    self._training_run.save_scene()
+                else:
+                    self._training_run.keep()
+            finally:
+                self._unsaved = False  # where it went elsewhere, it is saved all the same
         iteration = self._training_run.trainer.counters.iteration
         self._tell(saved_at=iteration)
         self._notes.append(f"Saved at step {iteration:,}: {self.outputs.scene}")

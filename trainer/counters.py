@@ -1,9 +1,12 @@
-"""Where a run stands, what its steps report, and what ends it."""
+"""Where a run stands, what its steps report, the curves of that, and what ends it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
+
+import numpy as np
 
 from splatview.scene import Gaussians, InputError
 
@@ -40,3 +43,54 @@ class Counters:
     """Wall-clock time since the run began, pauses between resumed parts left out."""
     prepared: float = 0.0
     """Of these, before the first step."""
+
+
+LIMIT = 4096
+"""Rows kept: more than a plot has pixels."""
+
+
+class History:
+    """Rows of numbers, one a step. When full, pairs become their means: the whole run stays in view."""
+
+    def __init__(self, columns: Sequence[str], limit: int = LIMIT) -> None:
+        """`limit`: an even number of rows, at least 2."""
+        if not (limit >= 2 and limit % 2 == 0):
+            raise ValueError(f"limit must be even and at least 2, got {limit}")
+        self._columns = {name: place for place, name in enumerate(columns)}
+        self._limit = limit
+        self._stride = 1
+        self._sum, self._summed = np.zeros(len(self._columns)), 0
+        # Replaced as a whole, so that a reader sees rows and their number together. Rows below the number
+        # are never written again.
+        self._kept: tuple[np.ndarray, int] = (np.empty((len(self._columns), limit)), 0)
+
+    def add(self, *values: float) -> None:
+        """One row, in the order of the columns. Only one thread may call this."""
+        self._sum += values
+        self._summed += 1
+        if self._summed < self._stride:
+            return
+        rows, count = self._kept
+        if count == self._limit:
+            halved = np.empty_like(rows)
+            halved[:, : count // 2] = (rows[:, ::2] + rows[:, 1::2]) / 2
+            rows, count = halved, count // 2
+            self._stride *= 2
+            self._kept = (rows, count)
+            if self._summed < self._stride:
+                return
+        rows[:, count] = self._sum / self._summed
+        self._kept = (rows, count + 1)
+        self._sum, self._summed = np.zeros(len(self._columns)), 0
+
+    def __len__(self) -> int:
+        """Rows that can be read."""
+        return self._kept[1]
+
+    def read(self, *names: str) -> list[np.ndarray]:
+        """The columns of these names, each (rows,) float64, contiguous, of one moment. Not to be written to.
+
+        Each row is the mean of as many steps as were merged, the same number in all rows.
+        """
+        rows, count = self._kept
+        return [rows[self._columns[name], :count] for name in names]

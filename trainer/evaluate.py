@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ class Score(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """Scores of all photos, and their means."""
+    """Scores of held-out photos, and their means."""
 
     scores: tuple[Score, ...]
 
@@ -40,6 +40,10 @@ class Evaluation(NamedTuple):
     @property
     def ssim(self) -> float:
         return float(np.mean([score.ssim for score in self.scores]))
+
+    def among(self, names: Collection[str]) -> Evaluation:
+        """Those of the photos of these names, one at least, all that a run looks at on its way."""
+        return Evaluation(tuple(score for score in self.scores if score.name in names))
 
 
 def pictures(

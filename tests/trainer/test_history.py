@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from splatview.trainer.background import History
+from splatview.trainer.counters import History
 
 
 def test_rows_come_back_as_they_were_added() -> None:

@@ -477,6 +477,38 @@ def test_a_small_share_sleeps_between_steps(begin) -> None:
     assert cpu_later - cpu < 0.5 * (wall_later - wall)
 
 
+def test_many_held_out_photos_are_measured_in_part_on_the_way_and_all_in_the_end(
+    make_session, begin, views, monkeypatch, tmp_path
+):
+    """Curves are of the same photos to the end, and of all photos where the user has said how often."""
+    monkeypatch.setattr(sessions, "MOST_WATCHED", 2)
+    monkeypatch.setattr(sessions, "EVALUATE_EVERY", 10)
+    monkeypatch.setattr(sessions, "EVALUATION_SHARE", np.inf)
+
+    def lines(eval_every: int | None) -> list[dict[str, Any]]:
+        (tmp_path / "m.jsonl").unlink(missing_ok=True)
+        run = make_session(eval_every=eval_every, iterations=30)
+        run = TrainingRun(
+            run.trainer, views[:3], run.outputs, started=time.perf_counter(), eval_every=eval_every
+        )
+        assert [view.camera.name for view in run.watched] == [views[0].camera.name, views[2].camera.name]
+        thread = begin(training_run=run)
+        wait(lambda: thread.status.saved_at == 30 and not thread.status.activity, "the end")
+        settled(thread)
+        told = [json.loads(line) for line in (tmp_path / "m.jsonl").read_text().splitlines()]
+        last = run.evaluation
+        assert last is not None and [score.name for score in last.scores] == [
+            v.camera.name for v in views[:3]
+        ]
+        (curve,) = thread.evaluations.read("psnr")
+        assert curve[-1] == pytest.approx((last.scores[0].psnr + last.scores[2].psnr) / 2)
+        assert told[-1]["psnr"] == last.psnr and len(told[-1]["stages"]) > 3
+        return told
+
+    assert [(line["iteration"], line["held_out"]) for line in lines(None)] == [(10, 2), (20, 2), (30, 3)]
+    assert [(line["iteration"], line["held_out"]) for line in lines(10)] == [(10, 3), (20, 3), (30, 3)]
+
+
 @pytest.mark.parametrize(("asked", "expected"), [(None, 1), (10, 3)])
 def test_evaluations_that_nobody_asked_for_take_little_of_the_time(
     make_session, monkeypatch, asked, expected
@@ -487,7 +519,7 @@ def test_evaluations_that_nobody_asked_for_take_little_of_the_time(
     session = make_session(eval_every=asked, iterations=1000)
     measured = []
 
-    def costly() -> Evaluation:
+    def costly(views: object) -> Evaluation:
         measured.append(session.trainer.counters.iteration)
         session._evaluated, session._evaluation_cost = time.perf_counter(), 1000.0
         return Evaluation(())

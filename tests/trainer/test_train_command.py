@@ -171,6 +171,29 @@ def test_a_run_killed_before_its_scene_was_written_writes_it_when_resumed(
     assert "its run is over; give --iterations above 20" in capsys.readouterr().err
 
 
+def test_a_last_look_at_held_out_photos_that_is_cut_costs_nothing_else(
+    capture_folder: Path, tmp_path: Path, capsys, monkeypatch
+) -> None:
+    """The scene is written before, in a run that says how far the look is."""
+    output, metrics = tmp_path / "toy.ply", tmp_path / "m.jsonl"
+    saved: list[bool] = []
+
+    def cut(*_: object, **__: object) -> None:
+        saved.append(output.exists())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(session, "evaluation_of", cut)
+    assert train(capture_folder, output, "--iterations", "20", "--metrics", str(metrics)) == 130
+    assert saved == [True] and len(load_scene(output)) > 0
+    error = capsys.readouterr().err
+    assert "is whole, and was not measured on the held-out photos" in " ".join(error.split())
+    (line,) = metrics_of(metrics)
+    assert line["iteration"] == 20 and "psnr" not in line and line["stages"]
+    monkeypatch.undo()
+    assert train(capture_folder, output, "--resume", str(tmp_path / "toy.checkpoint.safetensors")) == 0
+    assert "held-out photo" in capsys.readouterr().out and len(metrics_of(metrics)) == 1
+
+
 def test_minutes_end_a_run(capture_folder: Path, tmp_path: Path) -> None:
     metrics = tmp_path / "m.jsonl"
     assert train(capture_folder, tmp_path / "toy.ply", "--minutes", "0.001", "--metrics", str(metrics)) == 0

@@ -325,7 +325,11 @@ REAL = {
 NAMES = (*REAL, *PUBLIC, *RENDERED)
 """All captures, in the order of tables."""
 
-DRIFTING = ("demo drift 40", *(name for name in REAL if name.startswith("miku")), *PUBLIC)
+DRIFTING = (
+    "demo drift 40",
+    *(name for name in REAL if name.startswith("miku")),
+    *(name for name, public in PUBLIC.items() if not public.rendered),
+)
 """Captures whose photos differ, or may differ, in exposure. What is held out is measured after a fit, see
 `trainer.exposure`, whether a run has learnt exposures or not, so that its runs can be compared."""
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from capture_set import RENDERED, bench_capture, folder_of, split_of, with_fault, with_passing
 from PIL import Image
+from public_captures import PUBLIC
 
 STEP_MS, KILOPIXEL_MS, THOUSAND_SPLATS_MS = 1.0, 0.2, 0.35
 """What a step costs, by the size of its photo and the number of splats: a fit within 20 % to steps of 17 to
@@ -44,10 +45,13 @@ def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> f
     from splatview.raster import Workspace, draw_frame
 
     found = []
-    if name not in RENDERED:
+    if name not in (*RENDERED, *PUBLIC):
         return None
     for view in views:
         path = folder_of(name, made) / view.camera.name
+        path = path if path.exists() else path.with_suffix(".png")  # NeRF's set names photos without
+        if not path.exists():
+            return None
         with Image.open(path) as image:
             if image.mode != "RGBA":
                 return None
