@@ -98,6 +98,8 @@ class _Matched:
     """(H, W) float32, of windows."""
     deviation: np.ndarray
     """(H, W) float32, of windows; 0 where nothing can be matched."""
+    spans: np.ndarray
+    """(2, H, 2) int32, where something can, see `stereo_kernels.spans_of`."""
 
 
 def stereo_points(
@@ -123,12 +125,9 @@ def stereo_points(
         for found in pool.map(swept, range(len(photos))):
             depths.append(found)
             progress.step(len(depths) / len(photos))
-    places, colours = [np.empty((0, 3))], [np.empty((0, 3), np.uint8)]
-    for at in range(len(photos)):
-        own, theirs = _confirmed(at, photos, depths)
-        places.append(own)
-        colours.append(theirs)
-    return np.concatenate(places), np.concatenate(colours)
+        confirmed = list(pool.map(lambda at: _confirmed(at, photos, depths), range(len(photos))))
+    places = np.concatenate([np.empty((0, 3)), *(own for own, _ in confirmed)])
+    return places, np.concatenate([np.empty((0, 3), np.uint8), *(colours for _, colours in confirmed)])
 
 
 def _matched(view: TrainView) -> _Matched:
@@ -149,7 +148,7 @@ def _matched(view: TrainView) -> _Matched:
     variance = square - mean * mean  # NaN at the rim
     textured = usable & (variance > kernels.LEAST_VARIANCE)
     deviation = np.sqrt(np.where(textured, variance, 0)).astype(np.float32)
-    return _Matched(camera, colours, grey, mean, deviation)
+    return _Matched(camera, colours, grey, mean, deviation, kernels.spans_of(deviation > 0))
 
 
 def _swept(at: int, photos: Sequence[_Matched], known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -171,10 +170,11 @@ def _swept(at: int, photos: Sequence[_Matched], known: np.ndarray) -> tuple[np.n
     warped, second = np.empty(shape, np.float32), np.empty(shape, np.float32)
     for inverse_depth, plane in zip(inverse_depths, scores, strict=True):
         kernels.plane_scores(
-            *(photo.grey, photo.mean, photo.deviation, greys, rotations, offsets, float(inverse_depth)),
-            *(warped, second, rows, plane),
+            *(photo.grey, photo.mean, photo.deviation, photo.spans, greys, rotations, offsets),
+            *(float(inverse_depth), warped, second, rows, plane),
         )
-    kernels.best_planes(scores, inverse_depths, found, confidence)
+    work = np.empty(shape[1], np.int32), np.empty(shape[1], np.float32)
+    kernels.best_planes(scores, inverse_depths, photo.spans, *work, found, confidence)
     return found, confidence
 
 

@@ -123,7 +123,10 @@ def test_scores_are_correlations_of_windows(photos, rng):
     rotations, offsets = _through(first.camera, [second.camera])
     scores = np.empty_like(grey)
     empty = (np.empty_like(grey), np.empty_like(grey), np.empty((3, grey.shape[1])))
-    kernels.plane_scores(grey, mean, deviation, other[None], rotations, offsets, 1 / 3.1, *empty, scores)
+    spans = kernels.spans_of(deviation > 0)
+    kernels.plane_scores(
+        *(grey, mean, deviation, spans, other[None], rotations, offsets, 1 / 3.1, *empty, scores)
+    )
     compared = 0
     for y, x in zip(rng.integers(3, SIZE[1] - 3, 60), rng.integers(3, SIZE[0] - 3, 60), strict=True):
         rows, columns = np.mgrid[y - 3 : y + 4, x - 3 : x + 4]
@@ -145,6 +148,31 @@ def test_scores_are_correlations_of_windows(photos, rng):
         assert scores[y, x] == pytest.approx(expected, abs=2e-4)
         compared += 1
     assert compared > 20
+
+
+def test_spans_hold_all_windows_with_texture(rng):
+    """Beside every window one by one; two pieces, so that a gap is within a span, and rows with nothing."""
+    textured = np.zeros((40, 50), bool)
+    textured[5:9, 10:13] = textured[7:20, 30:41] = True
+    textured &= rng.random(textured.shape) < 0.7
+    middles, covered = kernels.spans_of(textured)
+    for y, row in enumerate(textured):
+        assert textured[y, slice(*middles[y])].sum() == row.sum() and (row.any() or not middles[y].any())
+        near = np.argwhere(textured[max(y - kernels.RADIUS, 0) : y + kernels.RADIUS + 1])[:, 1]
+        expected = (near.min() - kernels.RADIUS, near.max() + kernels.RADIUS + 1) if len(near) else (0, 0)
+        assert tuple(covered[y]) == expected
+    assert not kernels.spans_of(np.zeros((9, 9), bool)).any()
+
+
+def test_surfaces_of_an_object_before_nothing_are_those_of_the_whole_picture(photos, around):
+    """What is transparent is not looked at, and changes nothing of what is."""
+    opaque = [replace(view, alpha=np.full(view.pixels.shape[:2], 255, np.uint8)) for view in photos]
+    half = np.full(photos[0].pixels.shape[:2], 255, np.uint8)
+    half[:, : half.shape[1] // 2] = 0
+    cut = [replace(view, alpha=half) for view in photos]
+    whole, part = (stereo_points(views, around)[0] for views in (opaque, cut))
+    kept = {tuple(point) for point in part.round(9)} & {tuple(point) for point in whole.round(9)}
+    assert 0 < len(part) < len(whole) and len(kept) > 0.95 * len(part)
 
 
 def test_a_pixel_is_where_the_other_camera_sees_its_place(rng):
