@@ -83,8 +83,8 @@ def plane_scores(
     """Normalised cross-correlation of each window with the same piece of a plane in other photos: the mean of
     the two best, and of one alone LONELY less.
 
-    grey, mean, deviation: (H, W) float32, of the photo and its windows; spans (2, H, 2) int32: of each row the
-    columns with texture, from the first to the one after the last, and those that such windows cover, see
+    grey, mean, deviation: (H, W) float32, of the photo and its windows; spans (2, H, 2) int32: of each row
+    the columns with texture, from the first to the one after the last, and those that such windows cover, see
     `spans_of`. sources: (S, h, w) float32. rotations (S, 3, 3), offsets (S, 3): a pixel (u, v) at inverse
     depth d is seen at rotation @ (u, v, 1) + d * offset.
     warped, second (H, W) float32, rows (3, W) float64: to work in. scores: (H, W) float32, out where there is
