@@ -65,13 +65,13 @@ def spans_of(textured: np.ndarray) -> np.ndarray:
     same where there are none. What lies outside need not be looked at: of an object before nothing, two
     thirds of its photos."""
     height, width = textured.shape
-    any_column = textured.any(axis=1)
-    first = np.where(any_column, textured.argmax(axis=1), width)
-    end = np.where(any_column, width - textured[:, ::-1].argmax(axis=1), 0)
+    has_any = textured.max(axis=1)
+    first = np.where(has_any, textured.argmax(axis=1), width)
+    end = np.where(has_any, width - textured[:, ::-1].argmax(axis=1), 0)
     around = [slice(max(y - RADIUS, 0), y + RADIUS + 1) for y in range(height)]
     low = np.array([first[rows].min() for rows in around]) - RADIUS
     high = np.array([end[rows].max() for rows in around]) + RADIUS
-    middles = np.where(any_column[:, None], np.stack([first, end], axis=1), 0)
+    middles = np.where(has_any[:, None], np.stack([first, end], axis=1), 0)
     covered = np.where((low < high)[:, None], np.stack([low, high], axis=1), 0)
     return np.stack([middles, covered]).astype(np.int32)
 

@@ -168,7 +168,7 @@ def test_surfaces_of_an_object_before_nothing_are_those_of_the_whole_picture(pho
     """What is transparent is not looked at, and changes nothing of what is."""
     opaque = [replace(view, alpha=np.full(view.pixels.shape[:2], 255, np.uint8)) for view in photos]
     half = np.full(photos[0].pixels.shape[:2], 255, np.uint8)
-    half[:, : half.shape[1] // 2] = 0
+    half[:, : SIZE[0] // 2] = 0
     cut = [replace(view, alpha=half) for view in photos]
     whole, part = (stereo_points(views, around)[0] for views in (opaque, cut))
     kept = {tuple(point) for point in part.round(9)} & {tuple(point) for point in whole.round(9)}
