@@ -42,6 +42,8 @@ class PublicCapture:
     """Of the repository, that has the photos."""
     poses: str = ""
     """Folder of the model in the repository, by which its owner posed them; empty: they are posed here."""
+    every: int = 1
+    """One of so many photos, by name, is used."""
     rendered: bool = False
     """Of NeRF's synthetic set: TRANSFORMS beside the folder says where photos were rendered from."""
 
@@ -66,13 +68,16 @@ PUBLIC = {
         commit="c64d9b85db2a59678490acd35bccf2c003e42383",
     ),
     "shelf": PublicCapture("judge", "yixuhuang72-hue/LF-GS", "data/images", 1, poses="data/sparse/0"),
+    "bonsai": PublicCapture("judge", "EricXu23/Bonsaidownload", "", 1, every=2),
+    "building": PublicCapture("judge", "sbradley374/gaussian-splat-test", "images", 5, every=2),
     "lego": PublicCapture("judge", "ewaMiazga/beta-splatting-ewa", "lego/train", 4, rendered=True),
     "chair": PublicCapture("judge", "rounak890/nerf_data", "train", 4, rendered=True),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
 a shore from a drone; another doll; a stone head on a table; a computer mouse before white paper; a
-monument in a park; things on boxes before a cloth, by nine cameras side by side; two of the transparent
+monument in a park; things on boxes before a cloth, by nine cameras side by side; a tree on a table in a
+room (Barron et al. 2022); a house of bricks, from all its sides (Hane et al. 2013); two of the transparent
 renderings by which NeRF was first measured (Mildenhall et al. 2020), at a quarter of their size."""
 
 
@@ -85,8 +90,11 @@ def git_folder(clones: Path, repository: str) -> Path:
     raise SystemExit(f"{clone}: no clone of {repository}")
 
 
-def extract(git: Path, commit: str, folder: str, out: Path, endings: tuple[str, ...] = PHOTOS) -> int:
-    """Writes the files of a folder at a commit of a clone that end so, and says how many there are."""
+def extract(
+    git: Path, commit: str, folder: str, out: Path, endings: tuple[str, ...] = PHOTOS, every: int = 1
+) -> int:
+    """Writes the files of a folder, not of those in it, at a commit of a clone that end so, or one of so
+    many of them, and says how many these are."""
 
     def ask(*words: str) -> bytes:
         return subprocess.run(["git", "-C", git, *words], check=True, capture_output=True).stdout
@@ -97,16 +105,12 @@ def extract(git: Path, commit: str, folder: str, out: Path, endings: tuple[str, 
         if line.startswith("?")
     }
     out.mkdir(parents=True, exist_ok=True)
-    count = 0
-    for line in ask("ls-tree", "-r", "-z", commit, *([f"{folder}/"] if folder else [])).decode().split("\0"):
-        if not line.lower().endswith(endings):
-            continue
-        facts, path = line.split("\t")
-        blob = facts.split()[2]
-        if blob not in missing:
-            (out / Path(path).name).write_bytes(ask("cat-file", "blob", blob))
-            count += 1
-    return count
+    listed = ask("ls-tree", "-z", commit, *([f"{folder}/"] if folder else [])).decode().split("\0")
+    found = [line.split("\t") for line in listed if line.lower().endswith(endings)]
+    found = [(facts.split()[2], path) for facts, path in found if facts.split()[2] not in missing]
+    for blob, path in found[::every]:
+        (out / Path(path).name).write_bytes(ask("cat-file", "blob", blob))
+    return len(found[::every])
 
 
 def pose(folder: Path, capture: PublicCapture) -> str:
@@ -175,7 +179,7 @@ def main() -> None:
             continue
         git = git_folder(options.clones, capture.repository)
         images = folder / (Path(capture.folder).name if capture.rendered else "images")
-        count = extract(git, capture.commit, capture.folder, images)
+        count = extract(git, capture.commit, capture.folder, images, every=capture.every)
         if capture.rendered:
             beside = capture.folder.rpartition("/")[0]
             posed = f"{extract(git, capture.commit, beside, folder, (TRANSFORMS,))} file of poses"
