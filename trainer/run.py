@@ -19,6 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 import numpy as np
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from splatview.scene import Gaussians, InputError
 from splatview.scene.effects.effect import Effect
@@ -70,6 +72,9 @@ NeRF's synthetic set, 800x800, take 12 s: by them the thousandth step cost a fif
 
 MOST_PICTURES = 8
 """Side-by-side pictures that are written."""
+
+PICTURE_MARK = "Software", "splatview train, side by side"
+"""Text in their files, by which those of an earlier run are told from what somebody else has put there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -425,11 +430,14 @@ class TrainingRun:
                 self._write_metrics(self._report, measured)
                 self.close()
         shown = self.held_out[:: -(-len(self.held_out) // MOST_PICTURES)]
+        marked = PngInfo()
+        marked.add_text(*PICTURE_MARK)
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            _remove_pictures(folder)
             for view, picture in zip(shown, self._pictures(shown), strict=True):
                 name = Path(view.camera.name.replace("/", "_").replace("\\", "_")).stem
-                side_by_side(view, picture).save(folder / f"{name}.png")
+                side_by_side(view, picture).save(folder / f"{name}.png", pnginfo=marked)
         except OSError as error:
             raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
         return measured
@@ -527,6 +535,19 @@ class TrainingRun:
             refuge = _saved_elsewhere(scene)
             where = "nor elsewhere" if refuge is None else f"the trained scene is saved as {refuge}"
             raise InputError(f"{error}; {where}") from None
+
+
+def _remove_pictures(folder: Path) -> None:
+    """Side-by-side pictures that an earlier run has left: they may be of other photos."""
+    key, text = PICTURE_MARK
+    for path in folder.glob("*.png"):
+        try:
+            with Image.open(path) as picture:
+                is_ours = picture.info.get(key) == text
+        except (OSError, ValueError):
+            continue
+        if is_ours:
+            path.unlink()
 
 
 def _with_all_bands(scene: Gaussians, degree: int) -> Gaussians:

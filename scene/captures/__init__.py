@@ -10,7 +10,7 @@ import numpy as np
 
 from splatview.scene.captures.assemble import FILE_NAME, capture_name, capture_of, read_camera_list
 from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse, MaskUse, PosedPhotos
-from splatview.scene.captures.colmap import find_colmap, read_colmap
+from splatview.scene.captures.colmap import find_colmap, find_part_of_colmap, read_colmap
 from splatview.scene.captures.nerfstudio import find_transforms, read_transforms
 from splatview.scene.errors import InputError
 from splatview.scene.progress import NO_PROGRESS, Progress
@@ -75,6 +75,11 @@ def read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
         return path, read_transforms(path, transforms, progress)
     if os.path.isfile(path / FILE_NAME):
         return path, read_camera_list(path, path / FILE_NAME)
+    part = find_part_of_colmap(path)
+    if part is not None:
+        raise InputError(
+            f"{part}: lacks images.bin or images.txt, the poses; copy or export all of the model"
+        )
     raise InputError(
         f"{path}: holds no capture: neither a COLMAP model (sparse/0) nor transforms.json, "
         f"transforms_train.json or {FILE_NAME}; photos alone need poses first, by COLMAP say"

@@ -40,6 +40,15 @@ def find_colmap(folder: Path) -> Path | None:
     return None
 
 
+def find_part_of_colmap(folder: Path) -> Path | None:
+    """The folder of a model that lacks its images, as where a large file was not copied, in a capture's
+    folder; None where there is none."""
+    for name in MODEL_FOLDERS:
+        if any(os.path.isfile(folder / name / f"cameras{suffix}") for suffix in (".bin", ".txt")):
+            return folder / name
+    return None
+
+
 def read_colmap(folder: Path, model: Path, progress: Progress) -> PosedPhotos:
     """The capture in `folder` whose model is in `model`, a folder. Raises InputError, Cancelled."""
     paths = find_model(model)

@@ -171,6 +171,17 @@ def test_a_run_killed_before_its_scene_was_written_writes_it_when_resumed(
     assert "its run is over; give --iterations above 20" in capsys.readouterr().err
 
 
+def test_pictures_of_an_earlier_run_go_and_those_of_others_stay(capture_folder: Path, tmp_path: Path) -> None:
+    output, folder = tmp_path / "toy.ply", tmp_path / "toy-held-out"
+    assert train(capture_folder, output, "--iterations", "2") == 0
+    written = {path.name for path in folder.iterdir()}
+    next(folder.iterdir()).rename(folder / "of another capture.png")
+    Image.new("RGB", (3, 3)).save(folder / "mine.png")
+    (folder / "no picture.png").write_text("mine, too")
+    assert train(capture_folder, output, "--iterations", "2") == 0
+    assert {path.name for path in folder.iterdir()} == {*written, "mine.png", "no picture.png"}
+
+
 def test_a_last_look_at_held_out_photos_that_is_cut_costs_nothing_else(
     capture_folder: Path, tmp_path: Path, capsys, monkeypatch
 ) -> None:

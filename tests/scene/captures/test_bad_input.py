@@ -37,6 +37,13 @@ def test_no_capture(tmp_path):
     assert "name its folder" in refused(tmp_path / "a.txt")
 
 
+def test_a_model_whose_poses_were_not_copied(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    (poses,) = tmp_path.rglob("images.bin")
+    poses.unlink()
+    assert f"{poses.parent}: lacks images.bin or images.txt" in refused(tmp_path)
+
+
 def test_no_images_in_the_model(tmp_path, colmap_capture):
     colmap_capture(tmp_path, cameras=[])
     assert "holds no images" in refused(tmp_path)
