@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from splatview.cli.training_ladder import TrainingRung, make_trainer
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import InputError, look_at
+from splatview.scene.captures import load_capture
 from splatview.scene.formats import load_scene
+from splatview.trainer import setup
 from splatview.trainer.backdrop import standing_in
 from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
@@ -25,7 +28,7 @@ from splatview.trainer.memory import Machine, PhotoSizes, run_memory
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.run import Outputs, RunProgress, TrainingRun
 from splatview.trainer.settings import MEMBERS, PICTURES, TrainSettings, automatic_shorter, pictures_taught
-from splatview.trainer.setup import settings_for
+from splatview.trainer.setup import settings_for, train
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 from tests.trainer.conftest import EXTENT, capture_of
@@ -556,3 +559,27 @@ def test_its_memory_is_stated() -> None:
     assert 16 <= taught < PICTURES
     assert several.photos - one.photos == pytest.approx(4 * taught * 10**6 * 1.25)
     assert several.splat - one.splat == pytest.approx(4 * 4 * 59)
+
+
+def test_what_python_and_the_ladder_chose_is_handed_on(
+    capture_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last scene, which else has settings of its own."""
+    ladder = make_trainer(
+        load_capture(capture_folder),
+        TrainingRung(knob="dropout", value="none", changes={"dropout": 0.0}),
+        1.0,
+        0,
+    )
+    assert isinstance(ladder, EnsembleTrainer) and ladder.asked == {"dropout"}
+
+    class Handed(Exception):
+        pass
+
+    def spy(*_: object, asked: dict[str, object], **__: object) -> None:
+        raise Handed(*asked)
+
+    monkeypatch.setattr(setup, "trainer_for", spy)
+    with pytest.raises(Handed) as caught:
+        train(capture_folder, minutes=1.0, max_aspect=3.0)
+    assert caught.value.args == ("max_aspect",)
