@@ -39,9 +39,9 @@ PIXELS_PER_SPLAT_UNTIMED = 30
 """The same where only steps do: each takes longer, and photos of many pixels have little more to show."""
 
 SPLATS_FOR_A_MINUTE = 35_000
-"""What a minute can train; longer runs by the square root, as steps become slower too. Twice as many
-(split 0) bring little for files and frames of twice the size: `miku` -0.14 dB, `playbot RGBA 100` +0.16, `lego`
-+0.02, `bonsai`, a room, +0.24; after three minutes 0.00, +0.21, +0.14, +0.48. 20,000 cost `miku` 0.26."""
+"""What a minute can train; longer runs by the square root, as steps become slower too. Twice as many bring
+little for files and frames of twice the size: `miku` -0.14 dB, `playbot RGBA 100` +0.16, `lego` +0.02,
+`bonsai`, a room, +0.24; after three minutes 0.00, +0.21, +0.14, +0.48 (split 0). 20,000 cost `miku` 0.26."""
 
 STEPS_OF_A_MINUTE = 3_000
 """About as many steps, of one photo each, are made in a minute on two cores with so many splats. Where steps
