@@ -10,7 +10,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -525,14 +525,16 @@ def _lead(ready: Run, options: argparse.Namespace, console: Console, started: fl
         except (PeerLost, PluginError) as error:
             kept = _as_far(outputs) if session.has_trained else NOTHING_TRAINED
             raise InputError(f"{error}; {kept}") from None
-        if not completed:
-            say(console, f"stopped at step {trainer.counters.iteration:,}: {_as_far(outputs)}")
-            return EXIT_INTERRUPTED
-        try:
-            evaluation = session.final_evaluation()
-        except KeyboardInterrupt:
-            say(console, f"{outputs.scene} is whole, and was not measured on the held-out photos")
-            return EXIT_INTERRUPTED
+        evaluation, is_measured = None, False
+        if completed:
+            with suppress(KeyboardInterrupt):
+                evaluation, is_measured = session.final_evaluation(), True
+    if not completed:
+        say(console, f"stopped at step {trainer.counters.iteration:,}: {_as_far(outputs)}")
+        return EXIT_INTERRUPTED
+    if not is_measured:
+        say(console, f"{outputs.scene} is whole, and was not measured on the held-out photos")
+        return EXIT_INTERRUPTED
     print_summary(make_console(stderr=False), trainer, evaluation, outputs)
     return 0
 

@@ -188,7 +188,7 @@ def test_effects_are_in_the_metrics_and_in_the_scene(make_trainer, views, tmp_pa
     training_run = TrainingRun(
         trainer, views[:1], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
     )
-    assert training_run.run()
+    assert training_run.run() and training_run.final_evaluation() is not None
     assert outputs.metrics is not None
     lines = [json.loads(line) for line in outputs.metrics.read_text().splitlines()]
     assert [("effects" in line, line["iteration"]) for line in lines] == [(True, 50), (True, 100)]

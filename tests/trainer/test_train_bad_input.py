@@ -291,7 +291,7 @@ def test_a_disk_that_fills_up_while_training(
         fsync(descriptor)
 
     monkeypatch.setattr(os, "fsync", full)
-    options = ["--iterations", "5", "-o", str(output), "--metrics", "/dev/full"]
+    options = ["--iterations", "5", "--eval-every", "2", "-o", str(output), "--metrics", "/dev/full"]
     assert main(["train", str(capture_folder), "--headless", *options]) == 2
     *notes, last = capsys.readouterr().err.strip().splitlines()
     assert any("no checkpoint written" in note and "No space left" in note for note in notes)
