@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from splatview.scene import Lens
@@ -130,10 +130,12 @@ def test_by_definition(model, k, expected):
 @pytest.mark.parametrize("model", COUNTS)
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**31))
+@example(seed=1255457)  # beside a pole
 def test_derivatives_are_those_of_finite_differences(model, seed):
     """First derivatives by differences of points, second ones by differences of first ones, of strong lenses.
 
-    Central differences with a step of 1e-5 are good to 1e-9 of numbers about 1.
+    Central differences with a step of 1e-5 are good to 1e-9 of numbers about 1. Beside a pole of a rational
+    lens numbers grow without bounds, and differences are worth less: such points are left out.
     """
     a_lens = random_lens(model, seed, 0.2)
     form = a_lens.form
@@ -142,13 +144,15 @@ def test_derivatives_are_those_of_finite_differences(model, seed):
     step = 1e-5 * along
     changes = (distort(points + step, a_lens) - distort(points - step, a_lens)) / 2e-5
     J = distortion_jacobians(points, a_lens)
-    np.testing.assert_allclose((J @ along[:, :, None])[:, :, 0], changes, atol=1e-7)
     bends = (distortion_jacobians(points + step, a_lens) - distortion_jacobians(points - step, a_lens)) / 2e-5
     u, v = points.T
     bending = lens_bending(form, u, v, *magnifications(form, u * u + v * v), *along.T)
     # Where numbers do not depend on the point they are plain floats.
     bending = np.stack(np.broadcast_arrays(*bending), axis=-1).reshape(-1, 2, 2)
-    np.testing.assert_allclose(bending, bends, atol=1e-6)
+    usual = (np.abs(bends) < 100).all(axis=(1, 2))
+    assert usual.sum() >= 10
+    np.testing.assert_allclose((J @ along[:, :, None])[usual, :, 0], changes[usual], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(bending[usual], bends[usual], rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("model", COUNTS)
