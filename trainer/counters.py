@@ -45,14 +45,14 @@ class Counters:
     """Of these, before the first step."""
 
 
-LIMIT = 4096
+MOST_ROWS = 4096
 """Rows kept: more than a plot has pixels."""
 
 
 class History:
     """Rows of numbers, one a step. When full, pairs become their means: the whole run stays in view."""
 
-    def __init__(self, columns: Sequence[str], limit: int = LIMIT) -> None:
+    def __init__(self, columns: Sequence[str], limit: int = MOST_ROWS) -> None:
         """`limit`: an even number of rows, at least 2."""
         if not (limit >= 2 and limit % 2 == 0):
             raise ValueError(f"limit must be even and at least 2, got {limit}")
