@@ -48,9 +48,9 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_capture,
 )
-from splatview.trainer.photo_size import SizeChoice
+from splatview.trainer.photo_size import SizeChoice, automatic_batch
 from splatview.trainer.run import Outputs
-from splatview.trainer.settings import LEAST_LIMIT, MEMBERS, TrainSettings, automatic_batch, automatic_steps
+from splatview.trainer.settings import LEAST_LIMIT, MEMBERS, TrainSettings, automatic_steps
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.torch_import import TorchImport
 from splatview.trainer.views import TrainView, TrainViews, train_views

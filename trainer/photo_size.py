@@ -1,4 +1,5 @@
-"""The size that photos are trained on where nobody says: by the time there is, and what will be looked at.
+"""The size that photos are trained on where nobody says, and how many a step takes: by the time there is, and
+what will be looked at.
 
 A step costs what its photo has of pixels. A minute on two cores is enough for three steps on photos of 12
 megapixels (11.6 dB on `miku` enlarged to that) or three thousand on 0.08 megapixels, which show large
@@ -18,7 +19,7 @@ from splatview.scene import InputError
 from splatview.scene.captures import PosedPhotos
 from splatview.scene.captures.photos import downscaled_size
 from splatview.trainer.memory import sizes_of_files
-from splatview.trainer.settings import MOST_THREADS
+from splatview.trainer.settings import MOST_THREADS, STEPS_OF_A_MINUTE
 
 LARGEST_SIDE = 1600
 """px of the longer side that photos have at most, as in the code of Kerbl et al. 2023."""
@@ -101,6 +102,45 @@ def automatic_levels(sizes: Sizes, minutes: float | None, threads: int) -> Level
     if factor < 2:
         return HALF_THE_SIZE
     return (FIRST_SHARE, HALF_THE_SIZE[0][1] * factor), (1 - LAST_SHARE, factor)
+
+
+KILOPIXEL_MS, FREE_KILOPIXELS = 0.065, 50.0
+"""What a thousand pixels more cost a step on two cores, and those that `STEPS_OF_A_MINUTE` has room for.
+Measured on an Intel Xeon: 12.9 and 31.0 ms with 17,500 splats for 107 and 426 thousand, 20.6 and 44.6 with
+49,300."""
+
+
+def steps_of_a_minute(pixels: float, levels: Levels) -> float:
+    """About as many steps of one photo of so many pixels as a minute on two cores has, along these levels."""
+    steps, start = 0.0, 0.0
+    for until, factor in (*levels, (1.0, 1)):
+        more = max(pixels / factor**2 / 1e3 - FREE_KILOPIXELS, 0.0)
+        steps += max(until - start, 0.0) / (1 / STEPS_OF_A_MINUTE + more * KILOPIXEL_MS / 60e3)
+        start = max(start, until)
+    return steps
+
+
+BATCH_STEPS, MOST_BATCH = 4_500, 2
+"""Steps that a run has at least where it takes several photos a step, and photos that it takes at most."""
+
+
+def automatic_batch(
+    minutes: float | None, steps: int | None, threads: int, of_a_minute: float = STEPS_OF_A_MINUTE
+) -> int:
+    """A sensible `batch` for a run of so many minutes on so many threads; 1 where steps end it.
+    `of_a_minute`: steps that a minute has for such photos, see `steps_of_a_minute`.
+
+    Three minutes of the bench, one run each (batch.json), by one photo and by two. Chosen: `skull RGBA 100`
+    33.40 and 34.01 dB, by three 34.09. Judged: `playbot RGBA 100` 38.29 and 38.66, `miku` (split 1, exposures
+    learnt) 30.22 and 30.25. Ten minutes of the command on `miku` (every 8th photo held out) score 30.56 by
+    one, 31.08 by two and 30.34 by four, so that two are the most. A minute has too few steps for it: 33.48
+    and 32.92 on `skull RGBA 100` at half the size. Where steps end a run, more photos in each bring nothing:
+    `banana`, 6,000 steps by one, two and three, 27.79, 27.73 and 27.61.
+    """
+    if minutes is None or steps is not None:
+        return 1
+    photos = of_a_minute * minutes * min(threads, MOST_THREADS) / 2
+    return min(max(int(photos / BATCH_STEPS), 1), MOST_BATCH)
 
 
 @dataclass

@@ -40,8 +40,12 @@ PIXELS_PER_SPLAT_UNTIMED = 30
 
 SPLATS_FOR_A_MINUTE = 35_000
 """What a minute can train; longer runs by the square root, as steps become slower too. Twice as many bring
-little for files and frames of twice the size: `miku` -0.14 dB, `playbot RGBA 100` +0.16, `lego` +0.02,
-`bonsai`, a room, +0.24; after three minutes 0.00, +0.21, +0.14, +0.48 (split 0). 20,000 cost `miku` 0.26."""
+little for files and frames of twice the size: `miku` -0.14 dB, `playbot RGBA 100` +0.16, `lego` +0.02;
+after three minutes 0.00, +0.21, +0.14 (split 0). 20,000 cost `miku` 0.26."""
+
+ONCE_PIXELS, MOST_DETAIL = 120e3, 2.0
+"""Pixels that show a scene once, from which on there are more, by the square root, and how many times as many
+at most."""
 
 STEPS_OF_A_MINUTE = 3_000
 """About as many steps, of one photo each, are made in a minute on two cores with so many splats. Where steps
@@ -52,38 +56,21 @@ the time. One run each, of which chance makes 0.4 dB; no other capture has judge
 LEAST_LIMIT, MOST_LIMIT = 2_000, 2_000_000
 
 
-def automatic_limit(pixels: int, minutes: float | None = None, steps: int | None = None) -> int:
+def automatic_limit(
+    pixels: int, minutes: float | None = None, steps: int | None = None, once: float = 0.0
+) -> int:
     """A sensible `max_splats` for photos of so many pixels together, and a run of so many minutes; of fewer
-    where `steps` end it sooner."""
+    where `steps` end it sooner. `once`: pixels that show the scene once, see `ONCE_PIXELS`."""
     limit = pixels // (PIXELS_PER_SPLAT_UNTIMED if minutes is None else PIXELS_PER_SPLAT)
     if minutes is not None:
         used = minutes if steps is None else min(minutes, steps / STEPS_OF_A_MINUTE)
-        limit = min(limit, round(SPLATS_FOR_A_MINUTE * math.sqrt(used)))
+        detail = min(max(math.sqrt(once / ONCE_PIXELS), 1.0), MOST_DETAIL)
+        limit = min(limit, round(SPLATS_FOR_A_MINUTE * detail * math.sqrt(used)))
     return min(max(limit, LEAST_LIMIT), MOST_LIMIT)
 
 
 MOST_THREADS = 8
 """More are not counted on: cores share their memory, and a part of each step is for one thread."""
-
-BATCH_STEPS, MOST_BATCH = 4_500, 2
-"""Steps that a run has at least where it takes several photos a step, and photos that it takes at most."""
-
-
-def automatic_batch(minutes: float | None, steps: int | None, threads: int) -> int:
-    """A sensible `batch` for a run of so many minutes on so many threads; 1 where steps end it.
-
-    Three minutes of the bench, one run each (batch.json), by one photo and by two. Chosen: `skull RGBA 100`
-    33.40 and 34.01 dB, by three 34.09. Judged: `playbot RGBA 100` 38.29 and 38.66, `miku` (split 1, exposures
-    learnt) 30.22 and 30.25. Ten minutes of the command on `miku` (every 8th photo held out) score 30.56 by
-    one, 31.08 by two and 30.34 by four, so that two are the most. A minute has too few steps for it: 33.48
-    and 32.92 on `skull RGBA 100` at half the size. Where steps end a run, more photos in each bring nothing:
-    `banana`, 6,000 steps by one, two and three, 27.79, 27.73 and 27.61.
-    """
-    if minutes is None or steps is not None:
-        return 1
-    photos = STEPS_OF_A_MINUTE * minutes * min(threads, MOST_THREADS) / 2
-    return min(max(int(photos / BATCH_STEPS), 1), MOST_BATCH)
-
 
 MOST_REG = 0.1
 
@@ -345,7 +332,7 @@ class TrainSettings(StrategySettings):
     minutes: float | None = None
     """Wall-clock length of the whole run; with both, the one that ends first."""
     batch: int = 1
-    """Photos per step, whose gradients are averaged. See `automatic_batch`."""
+    """Photos per step, whose gradients are averaged. See `photo_size.automatic_batch`."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     backdrop: Literal["auto", "off"] = "auto"
     """Whether photos that show the background as a plain colour, connected to their border, are known to be

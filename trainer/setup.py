@@ -36,7 +36,7 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_capture,
 )
-from splatview.trainer.photo_size import automatic_levels, downscale_for
+from splatview.trainer.photo_size import automatic_batch, automatic_levels, downscale_for, steps_of_a_minute
 from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
 from splatview.trainer.settings import (
     FULL_REG_LOSS,
@@ -45,7 +45,6 @@ from splatview.trainer.settings import (
     PAPER_ITERATIONS,
     STEPS_OF_A_MINUTE,
     TrainSettings,
-    automatic_batch,
     automatic_dropout,
     automatic_far_from,
     automatic_limit,
@@ -93,13 +92,17 @@ def settings_for(
     says_empty = backdrop is not None or capture.background is not None
     everywhere = not says_empty and mean_colour(views.all) is not None
     few_steps = automatic_steps(photos, everywhere, shown)
-    limit = max_splats or automatic_limit(pixels, timed, few_steps)
+    # Photos that say where nothing is show an object, which fewer splats are enough for.
+    once = pixels / max(shown, 1.0) if everywhere else 0.0
+    limit = max_splats or automatic_limit(pixels, timed, few_steps, once)
     if "background" not in fields:
         fields["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
         if not says_empty:
             fields.setdefault("surround", automatic_surround(views.all, shown))
     weight = automatic_regularisation(photos, views.covered(fields["background"]))
-    batch = automatic_batch(timed, few_steps, threads)
+    sizes = [(view.camera.width, view.camera.height) for view in views.all]
+    levels = fields.get("resolution") or automatic_levels(sizes, minutes, threads)
+    batch = automatic_batch(timed, few_steps, threads, steps_of_a_minute(pixels / photos, levels))
     if iterations is None:
         iterations = few_steps or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))
@@ -113,16 +116,12 @@ def settings_for(
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "ensemble": MEMBERS if few_steps is not None and timed is not None else 1,
-        "shorter": fewer and (fewer, min(limit, automatic_limit(pixels, timed, fewer))),
+        "shorter": fewer and (fewer, min(limit, automatic_limit(pixels, timed, fewer, once))),
         "max_aspect": automatic_max_aspect(photos),
         "sh_divisor": automatic_sh_divisor(shown, steps),
         "far_from": automatic_far_from(photos, everywhere),
         "model": model_for(capture, antialiased),
-        "resolution": automatic_levels(
-            [(view.camera.width, view.camera.height) for view in views.all],
-            minutes,
-            threads,
-        ),
+        "resolution": levels,
     }
     settings = TrainSettings(
         iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields}

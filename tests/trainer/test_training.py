@@ -21,19 +21,23 @@ from safetensors.numpy import save_file
 from splatview.raster import Parameters
 from splatview.scene import InputError
 from splatview.scene.captures import load_capture
+from splatview.trainer import setup
 from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.counters import StepReport
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.functional import Visibility, dropout
+from splatview.trainer.photo_size import HALF_THE_SIZE, automatic_batch, automatic_levels, steps_of_a_minute
 from splatview.trainer.run import RunProgress
 from splatview.trainer.settings import (
     FAR_FROM,
     FEW_PHOTOS,
     FEWEST,
+    MOST_DETAIL,
+    ONCE_PIXELS,
     SH_STEPS,
+    STEPS_OF_A_MINUTE,
     TrainSettings,
-    automatic_batch,
     automatic_dropout,
     automatic_far_from,
     automatic_limit,
@@ -405,10 +409,34 @@ def test_the_automatic_limit_follows_pixels_and_minutes() -> None:
     assert few[0] < few[1] == few[2], "more minutes than the steps take change nothing"
 
 
+def test_photos_that_show_more_of_a_scene_get_more_splats(capture_folder, monkeypatch) -> None:
+    """Small photos, or many of the same, show a scene once in few pixels; never fewer, nor many times."""
+    limits = [automatic_limit(10**8, 1, once=once) for once in (0, ONCE_PIXELS, 2 * ONCE_PIXELS, math.inf)]
+    assert limits == [limits[0], limits[0], round(math.sqrt(2) * limits[0]), MOST_DETAIL * limits[0]]
+    assert automatic_limit(10_000, 1, once=math.inf) == automatic_limit(10_000, 1), "no more than pixels need"
+    assert automatic_limit(10**8, once=math.inf) == automatic_limit(10**8), (
+        "without minutes they go by pixels"
+    )
+    capture = load_capture(capture_folder)
+    views = TrainViews(train_views(capture.train), 0)
+    monkeypatch.setattr(
+        TrainViews, "pixel_count", round(2 * ONCE_PIXELS * views.photos_of_a_place(capture.points))
+    )
+    before_a_colour = settings_for(capture, views, minutes=0.5).max_splats
+    monkeypatch.setattr(setup, "find_backdrop", lambda views: None)
+    everywhere = settings_for(capture, views, minutes=0.5).max_splats
+    assert everywhere == pytest.approx(math.sqrt(2) * before_a_colour, abs=2), "an object has enough"
+
+
 def test_photos_of_a_step_are_as_many_as_there_is_time_for(capture_folder) -> None:
     assert [automatic_batch(minutes, None, 2) for minutes in (None, 0.1, 1, 3, 10, 1e6)] == [1, 1, 1, 2, 2, 2]
     assert [automatic_batch(3, None, threads) for threads in (1, 2, 8, 64)] == [1, 2, 2, 2]
     assert automatic_batch(10, 6_000, 2) == 1
+    levels = automatic_levels([(800, 800)], 3, 2)
+    assert automatic_batch(3, None, 2, steps_of_a_minute(800 * 800, levels)) == 1
+    assert (
+        automatic_batch(3, None, 2, steps_of_a_minute(200 * 200, automatic_levels([(200, 200)], 3, 2))) == 2
+    )
     capture = load_capture(capture_folder)
     few = train_views(capture.train)
     many = TrainViews(few * (-(-FEW_PHOTOS // len(few))), 0)
@@ -416,6 +444,15 @@ def test_photos_of_a_step_are_as_many_as_there_is_time_for(capture_folder) -> No
     assert settings_for(capture, many, minutes=10, threads=2, batch=3).batch == 3
     assert settings_for(capture, many, minutes=10, iterations=100, threads=2).batch == 1
     assert settings_for(capture, TrainViews(few, 0), minutes=10, threads=2).batch == 1
+
+
+def test_a_minute_has_fewer_steps_the_larger_the_photos() -> None:
+    few, more, many = (steps_of_a_minute(pixels, HALF_THE_SIZE) for pixels in (4e6, 4e5, 4e4))
+    assert 0 < few < more < many == pytest.approx(STEPS_OF_A_MINUTE)
+    assert steps_of_a_minute(4e5, ((0.3, 4), (0.8, 2))) > more > steps_of_a_minute(4e5, ())
+    assert steps_of_a_minute(4e5, ()) == pytest.approx(60e3 / (20 + 350 * 0.065)), (
+        "20 ms, and 0.065 a kilopixel"
+    )
 
 
 def test_dropped_splats_are_invisible_and_the_others_make_up_for_them() -> None:

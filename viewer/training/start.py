@@ -3,6 +3,7 @@ run that is readied beside the frame loop. No ImGui in here."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -30,12 +31,11 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_files,
 )
-from splatview.trainer.photo_size import downscale_for
+from splatview.trainer.photo_size import automatic_batch, downscale_for
 from splatview.trainer.settings import (
     LEAST_LIMIT,
     MEMBERS,
     TrainSettings,
-    automatic_batch,
     automatic_limit,
     automatic_steps,
 )
@@ -278,7 +278,8 @@ class TrainingStart(Feature):
         )
         advice = "choose a smaller size, or {} of memory or more"
         check_fits(memory, bound, LEAST_LIMIT, f"These photos and {LEAST_LIMIT:,} splats", advice)
-        return plan(memory, bound, automatic_limit(sizes.trained, minutes, steps))
+        # How much of the scene a photo shows is not known yet either: as many splats as there may be.
+        return plan(memory, bound, automatic_limit(sizes.trained, minutes, steps, math.inf))
 
     def trained_size(self) -> tuple[int, int]:
         """Width and height of the largest photo as it is trained on, px."""
