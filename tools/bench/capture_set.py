@@ -365,17 +365,21 @@ def split_of(capture: Capture, split: int) -> Capture:
     return replace(capture, photos=tuple(photos))
 
 
-def bench_capture(name: str, data: Path, made: Path, smaller: int = 1) -> Capture:
+def bench_capture(
+    name: str, data: Path, made: Path, smaller: int = 1, downscale: int | None = None
+) -> Capture:
     """A capture of the bench by its name, with photos smaller by a factor; rendered ones are in `made`, see
-    `make_all`."""
+    `make_all`. `downscale`: the factor of photographs in place of the bench's own."""
     if name in REAL:
         real = REAL[name]
-        whole = load_capture(data / "captures" / real.folder, downscale=real.downscale * smaller)
+        whole = load_capture(
+            data / "captures" / real.folder, downscale=(downscale or real.downscale) * smaller
+        )
         return part_of(whole, real.photos, real.spread)
     if name in PUBLIC:
         if not (made / name / "whole").exists():
             raise SystemExit(f"{name}: {made / name} has no posed photos: see public_captures.py")
-        return load_capture(made / name, downscale=PUBLIC[name].downscale * smaller)
+        return load_capture(made / name, downscale=(downscale or PUBLIC[name].downscale) * smaller)
     return load_capture(folder_of(name, made), downscale=smaller)
 
 

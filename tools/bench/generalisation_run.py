@@ -34,10 +34,18 @@ START = 3.0
 """Seconds before the first step."""
 
 
-def step_seconds(pixels: float, splats: int, photos: int = 1) -> float:
+LARGE_KILOPIXEL_MS, LARGE_SPLATS_MS = 0.065, 0.4
+"""The second and third of these for photos of other sizes than the bench's: a fit within 15 % to steps of 13
+to 45 ms for 107,000 and 426,000 px and 17,500 to 49,300 splats. The bench keeps its own, by which pixels cost
+three times as much: else no two of its rows could be compared."""
+
+
+def step_seconds(pixels: float, splats: int, photos: int = 1, *, large: bool = False) -> float:
     """The price of a step by the model above: a run is as long on a busy machine as on a quiet one."""
+    of_pixels = LARGE_KILOPIXEL_MS if large else KILOPIXEL_MS
+    of_splats = LARGE_SPLATS_MS if large else THOUSAND_SPLATS_MS
     once = STEP_MS + ONCE_MS * splats / 1e3
-    return (once + photos * (KILOPIXEL_MS * pixels + (THOUSAND_SPLATS_MS - ONCE_MS) * splats) / 1e3) / 1e3
+    return (once + photos * (of_pixels * pixels + (of_splats - ONCE_MS) * splats) / 1e3) / 1e3
 
 
 def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> float | None:
@@ -167,6 +175,11 @@ def main() -> None:
     )
     parser.add_argument("--until", type=float, default=1.0, help="share of the run after which it ends")
     parser.add_argument("--smaller", type=int, default=1, help="factor of the photos, to try rules quickly")
+    parser.add_argument(
+        "--downscale",
+        type=int,
+        help="factor of real photos in place of the bench's; prices are of large ones",
+    )
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=JSON", help="fields of the settings")
     parser.add_argument("--pictures", type=Path, help="folder for held-out photos beside what was trained")
@@ -180,9 +193,9 @@ def main() -> None:
     from splatview.trainer.warm_up import warm_up
 
     warm_up(lens=True)
-    capture = split_of(
-        bench_capture(options.name, options.data, options.made, options.smaller), options.split
-    )
+    large = options.downscale is not None
+    whole = bench_capture(options.name, options.data, options.made, options.smaller, options.downscale)
+    capture = split_of(whole, options.split)
     wrong: list[str] = []
     if options.fault:
         capture, wrong = with_fault(capture, options.fault, options.split)
@@ -215,12 +228,13 @@ def main() -> None:
         while not trainer.done and trainer.progress < options.until:
             known = hasattr(trainer, "downscale")
             factor = trainer.downscale if known else settings.downscale_at(trainer.progress)
-            used += step_seconds(pixels / factor**2, len(trainer.splats), getattr(settings, "batch", 1))
+            batch = getattr(settings, "batch", 1)
+            used += step_seconds(pixels / factor**2, len(trainer.splats), batch, large=large)
             trainer.step(used)
             taught = getattr(trainer, "taught", None)
             if taught is not None and not pictures:
                 pictures = len(taught) * len(trainer.members)
-                used += pictures * step_seconds(pixels, settings.max_splats) / DRAWN
+                used += pictures * step_seconds(pixels, settings.max_splats, large=large) / DRAWN
             if options.curve and used - last >= options.curve:
                 curve.append((round(used, 1), trainer.counters.iteration, round(score().psnr, 3)))
                 last = used
@@ -243,6 +257,7 @@ def main() -> None:
     result = {
         "capture": options.name,
         "split": options.split,
+        **({"downscale": options.downscale} if large else {}),
         "minutes": options.minutes,
         "photos": len(views),
         "psnr": final.psnr,
