@@ -68,9 +68,9 @@ PUBLIC = {
         commit="c64d9b85db2a59678490acd35bccf2c003e42383",
     ),
     "shelf": PublicCapture("judge", "yixuhuang72-hue/LF-GS", "data/images", 1, poses="data/sparse/0"),
-    "bonsai": PublicCapture("judge", "EricXu23/Bonsaidownload", "", 1, every=2),
-    "building": PublicCapture("judge", "sbradley374/gaussian-splat-test", "images", 5, every=2),
-    "lego": PublicCapture("judge", "ewaMiazga/beta-splatting-ewa", "lego/train", 4, rendered=True),
+    "bonsai": PublicCapture("choose", "EricXu23/Bonsaidownload", "", 1, every=2),
+    "building": PublicCapture("choose", "sbradley374/gaussian-splat-test", "images", 5, every=2),
+    "lego": PublicCapture("choose", "ewaMiazga/beta-splatting-ewa", "lego/train", 4, rendered=True),
     "chair": PublicCapture("judge", "rounak890/nerf_data", "train", 4, rendered=True),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
