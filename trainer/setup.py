@@ -101,8 +101,11 @@ def settings_for(
             fields.setdefault("surround", automatic_surround(views.all, shown))
     weight = automatic_regularisation(photos, views.covered(fields["background"]))
     sizes = [(view.camera.width, view.camera.height) for view in views.all]
-    levels = fields.get("resolution") or automatic_levels(sizes, minutes, threads)
-    batch = automatic_batch(timed, few_steps, threads, steps_of_a_minute(pixels / photos, levels))
+    levels = automatic_levels(sizes, minutes, threads)
+    along = fields.get("resolution", levels)
+    # By evidence (None) nobody knows yet how long photos will be smaller.
+    of_a_minute = steps_of_a_minute(pixels / photos, levels if along is None else along)
+    batch = automatic_batch(timed, few_steps, threads, of_a_minute)
     if iterations is None:
         iterations = few_steps or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))

@@ -442,6 +442,11 @@ def test_photos_of_a_step_are_as_many_as_there_is_time_for(capture_folder) -> No
     many = TrainViews(few * (-(-FEW_PHOTOS // len(few))), 0)
     assert settings_for(capture, many, minutes=10, threads=2).batch == 2
     assert settings_for(capture, many, minutes=10, threads=2, batch=3).batch == 3
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(TrainViews, "pixel_count", 400_000 * len(many))
+        levels = ((0.9, 4),)
+        taken = [settings_for(capture, many, minutes=4, threads=2, resolution=r).batch for r in (levels, ())]
+    assert taken == [2, 1], "by how long photos are smaller"
     assert settings_for(capture, many, minutes=10, iterations=100, threads=2).batch == 1
     assert settings_for(capture, TrainViews(few, 0), minutes=10, threads=2).batch == 1
 
