@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import moderngl
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle.glfw_utils import glfw_window_hello_imgui
@@ -27,6 +28,7 @@ from PIL import ImageGrab
 import glfw  # isort: skip  (after imgui_bundle, which says which libglfw that is)
 
 from splatview.cli.window import start_training
+from splatview.renderers.gl.context import describe
 from splatview.renderers.request import FrameRequest
 from splatview.viewer import app as window
 from splatview.viewer import commands as keys
@@ -127,6 +129,10 @@ class Hand:
         self.app.post(lambda app: answer.append(work()))
         self.wait(lambda: bool(answer), "the frame loop")
         return answer[0]
+
+    def is_software(self) -> bool:
+        """Whether OpenGL is this machine's processor."""
+        return self.on_gl_thread(lambda: describe(moderngl.create_context()).is_software)
 
     def picture(self) -> np.ndarray:
         """What a saved picture would hold now."""
@@ -394,7 +400,7 @@ def trouble(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str,
 def look(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Which renderer shows what."""
     hand.settle()
-    found["renderer"] = app.picture.name
+    found["renderer"], found["software"] = app.picture.name, hand.is_software()
     found["camera"] = camera_json(app)
     found["pixel_sum"] = float(hand.picture()[..., :3].sum())
 

@@ -54,6 +54,7 @@ def scene_page(app: AppState, hand: Hand, options: dict[str, Any], found: dict[s
     assert session is not None
     document = session.document
     alone = hand.picture_of_edits()
+    found["software"] = hand.is_software()
 
     hand.press("Ctrl+M")
     hand.frames(4)

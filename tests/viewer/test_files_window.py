@@ -10,6 +10,15 @@ from splatview.scene.formats import save_scene
 
 A, B = 500, 300
 
+ROUNDING = 2**-10
+"""A step of float16 below 2, in which a window blends: a GPU's compiler contracts other sums in the program
+that is compiled for what a picture calls for than in the one that stands in for it until then."""
+
+
+def same(found: dict[str, Any]) -> Any:
+    """No change of a picture, to the bit where OpenGL is software."""
+    return pytest.approx(0) if found["software"] else pytest.approx(0, abs=ROUNDING)
+
 
 @pytest.fixture(scope="module")
 def found(drive_once, tmp_path_factory, random_gaussians) -> dict[str, Any]:
@@ -30,7 +39,7 @@ def test_an_imported_file_is_a_row_of_its_own(found):
     }
     assert found["alone"] > 0.1
     count, change = found["undone"]
-    assert count == 1 and change == pytest.approx(0), "undone, the scene is the first file again"
+    assert count == 1 and change == same(found), "undone, the scene is the first file again"
 
 
 PARTS = ("eye", "lock", "numbers", "handles", "names", "removal", "saving")
@@ -38,7 +47,7 @@ PARTS = ("eye", "lock", "numbers", "handles", "names", "removal", "saving")
 
 @pytest.mark.parametrize("part", PARTS)
 def test_undo_takes_everything_back(found, part):
-    assert found[part]["back"] == pytest.approx(0)
+    assert found[part]["back"] == same(found)
 
 
 def test_the_eye_hides_a_file_from_picture_counts_and_exports(found):
@@ -46,7 +55,7 @@ def test_the_eye_hides_a_file_from_picture_counts_and_exports(found):
     hidden, change = eye["hidden"]
     assert hidden == B and change > 0.1
     assert (eye["visible"], eye["everything"]) == (A, A + B)
-    assert eye["shown"] == [0, pytest.approx(0)]
+    assert eye["shown"] == [0, same(found)]
     assert eye["titles"] == ["Hide table.ply", "Show table.ply"]
 
 

@@ -41,7 +41,8 @@ def test_watch_pause_change_step_export_and_stop(drive, capture, tmp_path):
             "the window waits for the training, not the other way round"
         )
     assert found["attended"] == ACTIVE_SECONDS, "nobody is told to wait while training stands"
-    assert found["unattended_fps"] <= 1, "a window left alone leaves the cores alone"
+    if found["software"]:
+        assert found["unattended_fps"] <= 1, "a window left alone leaves the cores alone"
     photo, shown, psnr = found["compared"]
     assert photo == shown == [72, 96, 3] and psnr > 10
     assert found["by_seconds"]

@@ -129,6 +129,8 @@ def test_a_window_can_be_opened_after_contexts_without_one(display):
 def test_old_opengl_shows_the_same_picture(drive, files, scene):
     old = {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}
     found = drive("look", files[1], environ=old)
+    if not found["software"]:
+        pytest.skip("a GPU's driver does not obey Mesa's version override")
     assert found["renderer"] == "quads (OpenGL 3.3)"
     assert any("no compute shaders" in line for line in found["messages"])
     camera = Camera(**{**found["camera"], "world_to_camera": np.array(found["camera"]["world_to_camera"])})

@@ -150,10 +150,12 @@ def all_of_it(app: AppState, hand: Hand, options: dict[str, Any], found: dict[st
     hand.wait(lambda: training.status.evaluation is not None, "the scores")
     found["scores"] = training.scores
     window.ATTENDED_SECONDS = ATTENDED_SECONDS
-    hand.wait(lambda: pacing.time_active_after_last_event == 0, "the window to leave the cores alone")
-    found["unattended_fps"] = pacing.fps_idle
-    ctx.mouse_move("//Training/###pause")
-    hand.wait(lambda: pacing.time_active_after_last_event > 0, "the window to wake")
+    found["software"] = hand.is_software()
+    if found["software"]:  # a window on a GPU takes nothing of the cores
+        hand.wait(lambda: pacing.time_active_after_last_event == 0, "the window to leave the cores alone")
+        found["unattended_fps"] = pacing.fps_idle
+        ctx.mouse_move("//Training/###pause")
+        hand.wait(lambda: pacing.time_active_after_last_event > 0, "the window to wake")
     without_frame_limit()
 
     shown = seen(hand)

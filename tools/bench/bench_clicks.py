@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import in_window, make_parser, spread
+from harness import gl_in_words, in_window, make_parser, spread
 from imgui_bundle import ImVec2
 
 from splatview.measure.machine import write_results
@@ -43,12 +43,14 @@ class Frames(Feature):
         self.shown_at: float | None = None
         self._answered: Callable[[], bool] = lambda: False
         self._is_shown = False
+        self.gl = ""
 
     def watch(self, answered: Callable[[], bool]) -> None:
         self.begun.clear()
         self.shown_at, self._is_shown, self._answered = None, False, answered
 
     def before_frame(self, app: AppState) -> None:
+        self.gl = self.gl or gl_in_words()
         now = time.perf_counter()
         self.begun.append(now)
         if self._is_shown and self.shown_at is None:
@@ -209,6 +211,7 @@ def window(scene: str, renderer: str, rounds: int, report: str) -> None:
         for _ in range(rounds + 1):
             go_through(clicks)
         found.update(clicks.found, splats=len(app.scene.gaussians), renderer=app.picture.backend)
+        found["gl"] = clicks.frames.gl
 
     if run_window([Path(scene)], size=SIZE, renderer=renderer, drive=act) != 0:
         raise SystemExit("the window was not driven to the end")
@@ -229,7 +232,7 @@ def main() -> None:
     options = parser.parse_args()
     arguments = ("--window", options.scene.resolve(), options.renderer, options.rounds)
     found = in_window(__file__, arguments, (SIZE[0], SIZE[1]), timeout=900)
-    splats, renderer = found.pop("splats"), found.pop("renderer")
+    splats, renderer, gl = (found.pop(name) for name in ("splats", "renderer", "gl"))
     clicks, rows = {}, []
     for name, entries in found.items():
         entries = entries[len(entries) // (options.rounds + 1) :]  # the first round compiles
@@ -248,7 +251,7 @@ def main() -> None:
         "columns": ["click or key", "answered, ms", "longest frame, ms", "picture in full, ms"],
         "rows": rows,
         "note": f"{options.scene.name}, {splats:,} splats, a picture of {SIZE[0]} x {SIZE[1]} drawn by"
-        f" `{renderer}` without a GPU; medians of {options.rounds} (least to most).",
+        f" `{renderer}` {gl}; medians of {options.rounds} (least to most).",
     }
     write_results(options.output, {"scene": options.scene.name, "clicks_ms": clicks, "table": table})
 

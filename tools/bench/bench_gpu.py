@@ -81,7 +81,7 @@ def row_of(result: dict[str, Any]) -> list[str]:
     """Milliseconds by way, and the least agreement with `cpu`."""
     ways = result["ways"].values()
     return [
-        result["scene"],
+        result["scene"].removesuffix(f" {result['splats']:,}"),
         f"{result['splats']:,}",
         *(f"{spread(way['median_ms'], way['range_ms'], 1)}; {way['unwaited_ms']:.1f}" for way in ways),
         f"{min(way['psnr_to_cpu'] for way in ways):.0f}",

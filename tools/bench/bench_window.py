@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import PANELS, make_parser, screen, spread
+from harness import PANELS, gl_in_words, make_parser, screen, spread, window_environment
 
 from splatview.measure.machine import write_results
 
@@ -51,7 +51,8 @@ def window(begun: float, scene: str, renderer: str, report: str) -> None:
                 and self.app.is_open
                 and not self.app.picture.busy
             ):
-                Path(report).write_text(json.dumps({"frame": frames[1], "scene": time.time() - begun}))
+                found = {"frame": frames[1], "scene": time.time() - begun}
+                Path(report).write_text(json.dumps(found | {"gl": gl_in_words()}))
 
     application.Window = Timed  # pyright: ignore[reportPrivateImportUsage]
     sys.argv = ["splatview", *([scene] if scene else []), "--renderer", renderer]
@@ -64,8 +65,8 @@ def processor_seconds(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def one_start(scene: Path | None, renderer: str, environment: dict[str, str]) -> dict[str, float]:
-    """Seconds to the first frame and to the scene; share of a core when idle."""
+def one_start(scene: Path | None, renderer: str, environment: dict[str, str]) -> dict[str, Any]:
+    """Seconds to the first frame and to the scene; share of a core when idle; what draws the window."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
         command = [sys.executable, __file__, "--window", str(time.time()), str(scene or ""), renderer, report]
@@ -107,11 +108,8 @@ def main() -> None:
         screen(f"{SIZE[0] + PANELS[0]}x{SIZE[1] + PANELS[1]}") as made,
         tempfile.TemporaryDirectory() as folder,
     ):
-        environment = dict(
-            os.environ, DISPLAY=made.display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
-        )
-        for name in ("WAYLAND_DISPLAY", "PYTHONDONTWRITEBYTECODE"):  # a user's Python keeps what it compiles
-            environment.pop(name, None)
+        environment = window_environment(made.display, folder)
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # a user's Python keeps what it compiles
         for scene in options.scenes or [None]:
             path = scene and scene.resolve()
             one_start(path, options.renderer, environment)
@@ -125,7 +123,7 @@ def main() -> None:
         "columns": ["scene", "first frame, s", "scene in full, s", "idle, % of a core"],
         "rows": rows,
         "note": f"From the begin of the process, every start but the first; medians of {options.rounds}"
-        f" (least to most). Idle: {IDLE_SECONDS:g} s without a touch. Drawn without a GPU.",
+        f" (least to most). Idle: {IDLE_SECONDS:g} s without a touch. Drawn {results[0]['rounds'][0]['gl']}.",
     }
     write_results(options.output, {"results": results, "table": table})
 

@@ -20,9 +20,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import moderngl
 import numpy as np
 
 from splatview.measure.machine import FOLDER
+from splatview.renderers.gl.context import describe
 from splatview.scene import Camera, Gaussians
 from splatview.scene.formats import load_scene
 from splatview.scene.framing import frame_camera, robust_bounds
@@ -161,6 +163,21 @@ def load_scenes(paths: Sequence[Path], otherwise: Callable[[], dict[str, Gaussia
     return {path.name: load_scene(path) for path in paths} if paths else otherwise()
 
 
+def window_environment(display: str, folder: str) -> dict[str, str]:
+    """That of a window on `display` with its settings in `folder`. Mesa is told to leave the GPU alone,
+    unless who runs the benchmark has said something on that: LIBGL_ALWAYS_SOFTWARE=0 is for a GPU."""
+    environment = {"LIBGL_ALWAYS_SOFTWARE": "1"} | os.environ
+    environment |= {"DISPLAY": display, "SPLATVIEW_CONFIG_DIR": folder}
+    environment.pop("WAYLAND_DISPLAY", None)
+    return environment
+
+
+def gl_in_words() -> str:
+    """What draws the window whose OpenGL context is this thread's, as a table says it."""
+    info = describe(moderngl.create_context())
+    return "without a GPU" if info.is_software else f"on {info.renderer}"
+
+
 def in_window(script: str, arguments: Sequence[object], size: tuple[int, int], *, timeout: float) -> Any:
     """The JSON that `script` writes to the file named last on its command line, run with a screen of its own
     on which a window with a picture of `size` fits."""
@@ -169,10 +186,7 @@ def in_window(script: str, arguments: Sequence[object], size: tuple[int, int], *
         tempfile.TemporaryDirectory() as folder,
     ):
         report = Path(folder) / "report.json"
-        environment = dict(
-            os.environ, DISPLAY=made.display, SPLATVIEW_CONFIG_DIR=folder, LIBGL_ALWAYS_SOFTWARE="1"
-        )
-        environment.pop("WAYLAND_DISPLAY", None)
+        environment = window_environment(made.display, folder)
         command = [sys.executable, script, *map(str, arguments), str(report)]
         subprocess.run(command, env=environment, check=True, timeout=timeout)
         return json.loads(report.read_text())

@@ -62,7 +62,10 @@ def run_part(
         "replay": None if replay is None else str(replay.resolve()),
         "size": size,
     }
-    environment = dict(os.environ, SPLATVIEW_CONFIG_DIR=str(folder / "config"), LIBGL_ALWAYS_SOFTWARE="1")
+    # Not on a GPU, unless who runs it says so by LIBGL_ALWAYS_SOFTWARE=0.
+    environment = (
+        {"LIBGL_ALWAYS_SOFTWARE": "1"} | os.environ | {"SPLATVIEW_CONFIG_DIR": str(folder / "config")}
+    )
     environment.update(OLD_GL if renderer == "old" else {})
     environment["PYTHONPATH"] = os.pathsep.join([str(DRIVES), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment.pop("WAYLAND_DISPLAY", None)

@@ -12,7 +12,8 @@ from checks import Mishap, Pictures, Undone, wait_for_threads
 from drives import Hand
 
 from splatview.renderers.request import FrameRequest
-from splatview.scene.edits import LOCKED, PREVIEW, SELECTED
+from splatview.scene import Camera, Gaussians, RenderSettings
+from splatview.scene.edits import LOCKED, PREVIEW, SELECTED, SceneEdits
 from splatview.viewer.editing.saving import Saving, leave_unsaved
 from splatview.viewer.editing.session import Editing, at_rest, session_of
 from splatview.viewer.quality.state import Accuracy
@@ -162,13 +163,15 @@ class User(Hand):
     def look_at_the_picture(self) -> None:
         """What is shown, and what would be saved, are what the CPU draws of the baked scene."""
         app = self.app
-        picture, scene = app.picture, app.scene
+        picture = app.picture
         if picture is None or not app.is_open:
             return
-        gaussians = session.document.gaussians if (session := session_of(app)) else scene.gaussians
-        edits, camera, settings = app.edits, app.camera, app.settings
+        gaussians, edits, camera, settings = self._what_is_shown()
         if app.mode == "splats":
             saved = self.on_gl_thread(lambda: picture.read(FrameRequest(None, camera, settings, edits=edits)))
+            if self._what_is_shown()[0] is not gaussians:
+                self.look_at_the_picture()
+                return
             self.pictures.compare("a saved picture", saved, gaussians, camera, settings, edits)
         else:
             saved = self.on_gl_thread(
@@ -177,6 +180,7 @@ class User(Hand):
             if not np.isfinite(saved).all():
                 raise Mishap(f"{app.mode}: numbers that are not finite")
         self.calm()
+        gaussians, edits, camera, settings = self._what_is_shown()
         lit = edits is not None and edits.flags & (SELECTED | LOCKED | PREVIEW)
         exact = not app.feature(Accuracy).choices and app.feature(Accuracy).budget_ms is None
         if app.mode == "splats" and exact and not lit and app.preferences.resolution_scale == 1:
@@ -186,7 +190,17 @@ class User(Hand):
                     f"what is shown at rest has {texture.size} px of {(camera.width, camera.height)}"
                 )
             shown = self.on_gl_thread(lambda: read_texture(texture))
+            self.frames(2)
+            if self._what_is_shown()[0] is not gaussians:  # the snapshot of a pause came: it is looked at
+                self.look_at_the_picture()
+                return
             self.pictures.compare("what is shown", shown, gaussians, camera, settings, edits)
+
+    def _what_is_shown(self) -> tuple[Gaussians, SceneEdits | None, Camera, RenderSettings]:
+        """Splats, edits, camera and settings of the picture as they are now."""
+        app = self.app
+        gaussians = session.document.gaussians if (session := session_of(app)) else app.scene.gaussians
+        return gaussians, app.edits, app.camera, app.seen_settings
 
     @property
     def renderer(self) -> str:
