@@ -379,14 +379,17 @@ class TrainSettings(StrategySettings):
     far_from_end: float = 1.0
     """The same at the end of the run, exponential in between; if it is less, that at the start."""
     quats_rate: float = 1e-3
-    log_scales_rate: float = 5e-3
+    log_scales_rate: float = 8e-2
+    """At the start; exponential in between. See "How fast scales change" in docs/training.md."""
+    log_scales_rate_end: float | None = 5e-4
+    """At the end; None: the rate stays, and settles with the others."""
     opacity_logits_rate: float = 5e-2
     sh_rate: float = 2.5e-3
     """Rate of the constant band."""
     sh_divisor: float = REST_DIVISOR
     """Of that rate for the higher bands. See `automatic_sh_divisor`."""
     settle_from: float = 0.5
-    """Share of the run from which all rates but that of the means, which has its own end, go down."""
+    """Share of the run from which rates go down that have no end of their own."""
     settle_to: float = 0.1
     """Factor of those rates at the end, reached exponentially: the last photos do not pull the scene
     their way. Dropped: the mean of the last fifth of the run beside it, `banana` 28.76 and 28.86 dB in
@@ -506,13 +509,12 @@ class TrainSettings(StrategySettings):
 
     def rates(self, progress: float, extent: float) -> Rates:
         """Learning rates at a share of the run, for a scene of this extent."""
-        start, end = math.log(self.means_rate), math.log(self.means_rate_end)
         settled = max(progress - self.settle_from, 0.0) / max(1 - self.settle_from, 1e-9)
-        factor = self.settle_to**settled
+        factor, scales, end = self.settle_to**settled, self.log_scales_rate, self.log_scales_rate_end
         return Rates(
-            means=extent * math.exp(start + (end - start) * progress),
+            means=extent * self.means_rate * (self.means_rate_end / self.means_rate) ** progress,
             quats=factor * self.quats_rate,
-            log_scales=factor * self.log_scales_rate,
+            log_scales=factor * scales if end is None else scales * (end / scales) ** progress,
             opacity_logits=factor * self.opacity_logits_rate,
             sh=factor * self.sh_rate,
         )
@@ -556,6 +558,7 @@ WITHOUT_WORD = {
     "max_size": math.inf,
     "far_from": math.inf,
     "far_from_end": 1.0,
+    "log_scales_rate_end": None,
     "withheld": 0.0,
     "few_views": 0,
     "few_views_rounds": 0.0,

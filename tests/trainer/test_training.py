@@ -321,6 +321,14 @@ def test_schedules_scale_with_the_length_of_the_run() -> None:
     assert long.rates(0, 2.0).means == pytest.approx(2 * long.means_rate)
     assert long.rates(1, 2.0).means == pytest.approx(2 * long.means_rate_end)
     assert long.rates(0.5, 1.0).means == pytest.approx((long.means_rate * long.means_rate_end) ** 0.5)
+    assert long.log_scales_rate_end is not None
+    assert long.rates(0, 1.0).log_scales == pytest.approx(long.log_scales_rate)
+    assert long.rates(1, 1.0).log_scales == pytest.approx(long.log_scales_rate_end)
+    middle = (long.log_scales_rate * long.log_scales_rate_end) ** 0.5
+    assert long.rates(0.5, 1.0).log_scales == pytest.approx(middle)
+    settling = replace(long, log_scales_rate_end=None)
+    assert settling.rates(0.5, 1.0).log_scales == settling.log_scales_rate
+    assert settling.rates(1, 1.0).log_scales == pytest.approx(long.settle_to * long.log_scales_rate)
     timed = TrainSettings(iterations=None, minutes=2)
     assert timed.progress(10**6, 30) == 0.25
     both = TrainSettings(iterations=100, minutes=1)
@@ -488,8 +496,9 @@ def test_dropping_learns_repeats_and_ends_whole(make_trainer, views: list[TrainV
 def test_rates_settle_and_pulls_fade(start) -> None:
     settings = TrainSettings(settle_from=0.5, settle_to=0.1, reg_end=0.01, opacity_reg=0.1, max_splats=600)
     a, b, c = (settings.rates(progress, 1.0) for progress in (0, 0.5, 1))
-    assert a[1:] == b[1:]
-    np.testing.assert_allclose(c[1:], 0.1 * np.array(a[1:]))
+    for rate in ("quats", "opacity_logits", "sh"):
+        assert getattr(a, rate) == getattr(b, rate)
+        np.testing.assert_allclose(getattr(c, rate), 0.1 * getattr(a, rate))
     splats = Splats(start)
     for strategy in (DefaultStrategy(settings), MCMCStrategy(settings)):
         optimizer = SelectiveAdam(splats, settings.rates(0, 2.0))
