@@ -203,6 +203,9 @@ def automatic_sh_divisor(shown: float, steps: float = SH_STEPS) -> float:
     return min(divisor * max(steps / SH_STEPS, 1.0), float(REST_DIVISOR))
 
 
+FAST_SCALES = {"log_scales_rate": 8e-2, "log_scales_rate_end": 5e-4}
+"""For the strategy mcmc, see "How fast scales change" in docs/training.md; the classic has the paper's."""
+
 FEW_PHOTOS = 50
 
 LONGEST_OF_FEW = 6.0
@@ -379,10 +382,9 @@ class TrainSettings(StrategySettings):
     far_from_end: float = 1.0
     """The same at the end of the run, exponential in between; if it is less, that at the start."""
     quats_rate: float = 1e-3
-    log_scales_rate: float = 8e-2
-    """At the start; exponential in between. See "How fast scales change" in docs/training.md."""
-    log_scales_rate_end: float | None = 5e-4
-    """At the end; None: the rate stays, and settles with the others."""
+    log_scales_rate: float = 5e-3
+    log_scales_rate_end: float | None = None
+    """At the end, exponential in between; None: the rate settles with the others. See `FAST_SCALES`."""
     opacity_logits_rate: float = 5e-2
     sh_rate: float = 2.5e-3
     """Rate of the constant band."""
@@ -558,7 +560,6 @@ WITHOUT_WORD = {
     "max_size": math.inf,
     "far_from": math.inf,
     "far_from_end": 1.0,
-    "log_scales_rate_end": None,
     "withheld": 0.0,
     "few_views": 0,
     "few_views_rounds": 0.0,

@@ -39,6 +39,7 @@ from splatview.trainer.memory import (
 from splatview.trainer.photo_size import automatic_batch, automatic_levels, downscale_for, steps_of_a_minute
 from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
 from splatview.trainer.settings import (
+    FAST_SCALES,
     FULL_REG_LOSS,
     LEAST_LIMIT,
     MEMBERS,
@@ -125,6 +126,7 @@ def settings_for(
         "far_from": automatic_far_from(photos, everywhere),
         "model": model_for(capture, antialiased),
         "resolution": levels,
+        **(FAST_SCALES if fields.get("strategy", TrainSettings.strategy) == "mcmc" else {}),
     }
     settings = TrainSettings(
         iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields}
