@@ -438,10 +438,9 @@ def test_photos_that_show_more_of_a_scene_get_more_splats(capture_folder, monkey
 def test_scales_change_fast_but_for_the_classic_strategy(capture_folder) -> None:
     capture = load_capture(capture_folder)
     views = TrainViews(train_views(capture.train), 0)
-    fast, classic, own = (
-        settings_for(capture, views, minutes=1, **fields)
-        for fields in ({}, {"strategy": "classic"}, {"log_scales_rate": 0.01})
-    )
+    fast = settings_for(capture, views, minutes=1)
+    classic = settings_for(capture, views, minutes=1, strategy="classic")
+    own = settings_for(capture, views, minutes=1, log_scales_rate=0.01)
     paper = TrainSettings()
     assert fast.rates(0, 1.0).log_scales > 10 * paper.rates(0, 1.0).log_scales
     assert fast.rates(1, 1.0).log_scales == pytest.approx(paper.rates(1, 1.0).log_scales)
