@@ -23,6 +23,7 @@ Where many photos show each place that only costs, see ENOUGH_PHOTOS.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -92,6 +93,17 @@ class Backdrop(NamedTuple):
     """0 to 1, a multiple of 1/255."""
     share: float
     """Of the photos' borders."""
+
+
+def checked_colour(name: str, colour: Sequence[float]) -> tuple[float, float, float]:
+    """A setting's colour, RGB from 0 to 1, in any sequence. Raises ValueError, which calls it `name`."""
+    try:
+        red, green, blue = map(float, colour)
+    except (TypeError, ValueError):
+        red = green = blue = math.nan
+    if not all(0 <= part <= 1 for part in (red, green, blue)):
+        raise ValueError(f"{name} must be three numbers from 0 to 1, got {colour!r}")
+    return red, green, blue
 
 
 def find_backdrop(views: Sequence[TrainView]) -> Backdrop | None:

@@ -17,7 +17,13 @@ from splatview.raster.compiling import available_threads
 from splatview.scene import Gaussians
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
 from splatview.scene.progress import NO_PROGRESS, Progress
-from splatview.trainer.backdrop import automatic_surround, find_backdrop, mean_colour, standing_before
+from splatview.trainer.backdrop import (
+    automatic_surround,
+    checked_colour,
+    find_backdrop,
+    mean_colour,
+    standing_before,
+)
 from splatview.trainer.counters import PluginError, StepReport
 from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
@@ -85,6 +91,10 @@ def settings_for(
         InputError: the memory is too little for the photos and a least number of splats.
         ValueError, TypeError: a field makes no sense, or there is none of its name.
     """
+    if "background" in fields:
+        fields["background"] = checked_colour("background", fields["background"])
+    if fields.get("surround") is not None:
+        fields["surround"] = checked_colour("surround", fields["surround"])
     photos, pixels = len(views), views.pixel_count
     threads = threads or available_threads()
     timed = minutes if iterations is None else None

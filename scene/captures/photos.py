@@ -326,8 +326,8 @@ def _decode(
         raise _undecodable(path, error) from None
     rgb = np.empty((*rgba.shape[:2], 3), np.uint8)
     behind = np.array(background, dtype=np.float32) * 255
-    # By rows: as a whole, the float32 of a photo would be 20 times its file's pixels; and colour by colour, as
-    # numpy takes 3.3 times as long where all are beside one another (800x800, in turn on an AMD EPYC).
+    # By rows: as a whole, the float32 of a photo would be 20 times its file's pixels. Colour by colour: numpy
+    # takes 3.3 times as long for all of a pixel beside one another (800x800 px, in turn on an AMD EPYC).
     for top in range(0, len(rgba), ROWS_AT_ONCE):
         rows = slice(top, top + ROWS_AT_ONCE)
         opacity = rgba[rows, :, 3].astype(np.float32) / 255

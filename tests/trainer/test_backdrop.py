@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -210,6 +211,15 @@ def test_what_is_empty_or_has_a_background_has_no_surround() -> None:
         effect = next(one for one in effects if one.name == SURROUND)
         assert effect.on is (trainer is room)
         assert ("mean colour" if effect.on else "background is asked for") in effect.why
+
+
+@pytest.mark.parametrize("name", ["background", "surround"])
+def test_colours_of_a_caller_are_any_three_numbers(name: str) -> None:
+    for colour in ([0, 0.5, 1], np.array([0, 0.5, 1])):
+        assert getattr(trainer_of(capture_of(indoors), **{name: colour}).settings, name) == (0, 0.5, 1)
+    for wrong in ("white", (0.5, 0.5), (0.5, 0.5, math.nan), (0, 0, 255), 1):
+        with pytest.raises(ValueError, match=f"{name} must be three numbers from 0 to 1, got"):
+            trainer_of(capture_of(indoors), **{name: wrong})
 
 
 def test_what_many_photos_show_has_no_surround() -> None:
