@@ -14,7 +14,7 @@ from typing import Any, Literal
 from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
-from splatview.trainer.adam_kernels import FAR_FROM, REST_DIVISOR, Rates
+from splatview.trainer.adam_kernels import FAR_FROM, FEWEST_FOR_FAR, REST_DIVISOR, Rates
 from splatview.trainer.free_space import (
     FEW_VIEWS,
     FEW_VIEWS_ROUNDS,
@@ -110,7 +110,7 @@ def automatic_regularisation(photos: int, covered: float = 1.0) -> float:
 
 def automatic_far_from(photos: int, everywhere: bool) -> float:
     """A sensible `far_from` for so many photos, see `FAR_FROM`; `everywhere`: see `automatic_steps`."""
-    return FAR_FROM if everywhere and photos >= FEWEST else math.inf
+    return FAR_FROM if everywhere and photos >= FEWEST_FOR_FAR else math.inf
 
 
 FULL_REG_LOSS = 0.02
@@ -202,9 +202,6 @@ def automatic_sh_divisor(shown: float, steps: float = SH_STEPS) -> float:
     divisor = max(REST_DIVISOR * (FEWEST_FOR_SH / max(shown, 1.0)) ** 2.5, LEAST_SH_DIVISOR)
     return min(divisor * max(steps / SH_STEPS, 1.0), float(REST_DIVISOR))
 
-
-FAST_SCALES = {"log_scales_rate": 8e-2, "log_scales_rate_end": 5e-4}
-"""For the strategy mcmc, see "How fast scales change" in docs/training.md; the classic has the paper's."""
 
 FEW_PHOTOS = 50
 
@@ -384,7 +381,7 @@ class TrainSettings(StrategySettings):
     quats_rate: float = 1e-3
     log_scales_rate: float = 5e-3
     log_scales_rate_end: float | None = None
-    """At the end, exponential in between; None: the rate settles with the others. See `FAST_SCALES`."""
+    """At the end, exponential in between; None: the rate settles with the others. See `adam.FAST_SCALES`."""
     opacity_logits_rate: float = 5e-2
     sh_rate: float = 2.5e-3
     """Rate of the constant band."""

@@ -17,6 +17,7 @@ from splatview.raster.compiling import available_threads
 from splatview.scene import Gaussians
 from splatview.scene.captures import DEFAULT_LENS_USE, Capture, LensUse, load_capture
 from splatview.scene.progress import NO_PROGRESS, Progress
+from splatview.trainer.adam import automatic_scale_rates
 from splatview.trainer.backdrop import (
     automatic_surround,
     checked_colour,
@@ -45,7 +46,6 @@ from splatview.trainer.memory import (
 from splatview.trainer.photo_size import automatic_batch, automatic_levels, downscale_for, steps_of_a_minute
 from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
 from splatview.trainer.settings import (
-    FAST_SCALES,
     FULL_REG_LOSS,
     LEAST_LIMIT,
     MEMBERS,
@@ -136,7 +136,7 @@ def settings_for(
         "far_from": automatic_far_from(photos, everywhere),
         "model": model_for(capture, antialiased),
         "resolution": levels,
-        **(FAST_SCALES if fields.get("strategy", TrainSettings.strategy) == "mcmc" else {}),
+        **automatic_scale_rates(photos, everywhere, fields.get("strategy", TrainSettings.strategy)),
     }
     settings = TrainSettings(
         iterations=iterations, minutes=minutes, max_splats=limit, **{**automatic, **fields}
