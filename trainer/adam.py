@@ -12,7 +12,7 @@ from torch.optim import Optimizer
 
 from splatview.raster import Parameters, available_threads
 from splatview.raster.compiling import SPLATS_PER_TASK, TASKS_PER_THREAD, even_ranges, run
-from splatview.trainer.adam_kernels import BETA1, BETA2, EPSILON, FEWEST_FOR_FAR, REST_DIVISOR, Rates, move
+from splatview.trainer.adam_kernels import BETA1, BETA2, EPSILON, FEWEST_FOR_FAST, REST_DIVISOR, Rates, move
 from splatview.trainer.splats import Splats
 
 FAST_SCALES = {"log_scales_rate": 8e-2, "log_scales_rate_end": 5e-4}
@@ -23,7 +23,7 @@ def automatic_scale_rates(photos: int, everywhere: bool, strategy: str) -> dict[
     """`FAST_SCALES`, where they suit so many photos; `everywhere`: as in `automatic_steps`. Few photos
     are learnt by heart the faster: 13 of `banana`, every 8th held out, 375x249 px, a minute, two seeds, have
     27.87 dB by these and 28.40 by the paper's rate."""
-    return {} if strategy != "mcmc" or (everywhere and photos < FEWEST_FOR_FAR) else dict(FAST_SCALES)
+    return {} if strategy != "mcmc" or (everywhere and photos < FEWEST_FOR_FAST) else dict(FAST_SCALES)
 
 
 def _plain(method: Callable[..., Any]) -> Callable[..., Any]:

@@ -47,8 +47,9 @@ REST_DIVISOR = 20
 """The higher SH bands have the rate of the constant one over this (Kerbl et al. 2023)."""
 
 
-FEWEST_FOR_FAR = 20
-"""Photos, see `FAR_FROM`."""
+FEWEST_FOR_FAST = 20
+"""Photos that show something everywhere, of fewer of which neither far means nor scales move faster: see
+`FAR_FROM` and `adam.FAST_SCALES`."""
 
 FAR_FROM = 0.25
 """See `TrainSettings.far_from` and `settings.automatic_far_from`. A rate in units of the scene's extent moves
@@ -60,7 +61,7 @@ dB, `demo lens 40` 32.19 and 33.70, `miku` 29.86 and 30.50, `fox` 29.49 and 29.6
 before black, 42.92 and 42.70, and of fewer photos `banana` 26.95 and 26.91 (SSIM 0.718 and 0.707), `beach`
 18.70 and 18.20, and `castle` 19.51 and 19.03: what is faster learns by heart faster, too.
 
-Not for fewer photos than `FEWEST_FOR_FAR`, the fewest that it was seen to help: 13 of `banana`, every 8th
+Not for fewer photos than `FEWEST_FOR_FAST`, the fewest that it was seen to help: 13 of `banana`, every 8th
 held out, 375x249 px, a minute, have 28.13 and 27.22 dB, by the paper's rate of scales 28.49 and 26.14.
 
 Dropped: 0.25 to the end of the run, 21.52, 34.10, 30.44 and 29.76 on the first four, but `banana` 26.65

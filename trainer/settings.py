@@ -14,7 +14,7 @@ from typing import Any, Literal
 from splatview.scene import ImageModel
 from splatview.scene.edits import Crop
 from splatview.scene.gaussians import SH_COEFFICIENTS
-from splatview.trainer.adam_kernels import FAR_FROM, FEWEST_FOR_FAR, REST_DIVISOR, Rates
+from splatview.trainer.adam_kernels import FAR_FROM, FEWEST_FOR_FAST, REST_DIVISOR, Rates
 from splatview.trainer.free_space import (
     FEW_VIEWS,
     FEW_VIEWS_ROUNDS,
@@ -110,7 +110,7 @@ def automatic_regularisation(photos: int, covered: float = 1.0) -> float:
 
 def automatic_far_from(photos: int, everywhere: bool) -> float:
     """A sensible `far_from` for so many photos, see `FAR_FROM`; `everywhere`: see `automatic_steps`."""
-    return FAR_FROM if everywhere and photos >= FEWEST_FOR_FAR else math.inf
+    return FAR_FROM if everywhere and photos >= FEWEST_FOR_FAST else math.inf
 
 
 FULL_REG_LOSS = 0.02

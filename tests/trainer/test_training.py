@@ -32,7 +32,7 @@ from splatview.trainer.run import RunProgress
 from splatview.trainer.settings import (
     FAR_FROM,
     FEW_PHOTOS,
-    FEWEST_FOR_FAR,
+    FEWEST_FOR_FAST,
     MOST_DETAIL,
     ONCE_PIXELS,
     SH_STEPS,
@@ -388,8 +388,8 @@ def test_few_photos_pull_harder_and_drop_more() -> None:
     assert automatic_sh_divisor(1000, SH_STEPS / 2) == many < automatic_sh_divisor(1000, 3 * SH_STEPS) < 20
     assert automatic_sh_divisor(40, 30 * SH_STEPS) == 20, "the paper's is the most, however long the run"
     assert 1 < automatic_max_aspect(13) < automatic_max_aspect(84)
-    assert automatic_far_from(FEWEST_FOR_FAR, True) == FAR_FROM
-    assert automatic_far_from(FEWEST_FOR_FAR - 1, True) == automatic_far_from(100, False) == math.inf
+    assert automatic_far_from(FEWEST_FOR_FAST, True) == FAR_FROM
+    assert automatic_far_from(FEWEST_FOR_FAST - 1, True) == automatic_far_from(100, False) == math.inf
     few = [automatic_steps(photos) or 0 for photos in (1, 13, 40)]
     assert few == sorted(few) and few[0] >= 1000 and automatic_steps(84) is None
     opaque = [automatic_steps(photos, everywhere=True) or 0 for photos in range(1, 50)]
@@ -449,8 +449,8 @@ def test_scales_change_fast_but_for_the_classic_strategy_and_few_photos(capture_
     assert from_recorded(recorded(fast)) == fast
     older = {name: value for name, value in recorded(paper).items() if name != "log_scales_rate_end"}
     assert from_recorded(older) == paper
-    assert automatic_scale_rates(FEWEST_FOR_FAR - 1, True, "mcmc") == {}
-    assert automatic_scale_rates(FEWEST_FOR_FAR, True, "mcmc") == FAST_SCALES
+    assert automatic_scale_rates(FEWEST_FOR_FAST - 1, True, "mcmc") == {}
+    assert automatic_scale_rates(FEWEST_FOR_FAST, True, "mcmc") == FAST_SCALES
     monkeypatch.setattr(setup, "find_backdrop", lambda views: None)
     everywhere = settings_for(capture, views, minutes=1)
     assert everywhere.rates(0.2, 1.0).log_scales == paper.rates(0.2, 1.0).log_scales
