@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 from bench_generalisation import run_one
-from capture_set import SPLITS, bench_capture, split_of
+from capture_set import SPLITS, bench_capture, bench_split
 from generalisation_run import START, step_seconds
 from PIL import Image
 
@@ -103,7 +103,7 @@ def measured(
     name: str, split: int, arguments: argparse.Namespace, scene: Any, centre: np.ndarray
 ) -> dict[str, Any]:
     """Pixels of a split's held-out photos by class, and squared errors there by checkout."""
-    capture = split_of(bench_capture(name, arguments.data, arguments.made, 1), split).about(centre)
+    capture = bench_split(name, split, arguments.data, arguments.made).about(centre)
     cameras, views = [photo.camera for photo in train_views(capture.train)], train_views(capture.held_out)
     classes = [
         np.minimum(photos_of_places(scene, view.camera, cameras), MOST_SEEN).reshape(-1) for view in views

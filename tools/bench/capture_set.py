@@ -301,34 +301,59 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
 
 @dataclass(frozen=True)
 class RealCapture:
-    """A capture of photographs, or a part of it."""
+    """A capture of photographs among the data."""
 
     use: Use
-    folder: str
     downscale: int
+
+
+REAL = {"banana": RealCapture("choose", 2), "miku": RealCapture("choose", 4)}
+
+EVERY = 8
+"""The command holds out one of so many photos."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some photos of a capture of photographs, or all of them, others held out than thirds."""
+
+    use: Use
+    whole: str
     photos: int | None = None
     spread: Literal["far", "near"] = "far"
+    every: int | None = None
+    """One of so many photos is held out, as by the command; None: thirds."""
 
 
-REAL = {
-    "banana": RealCapture("choose", "banana", 2),
-    "miku": RealCapture("choose", "miku", 4),
-    "miku 8 far": RealCapture("judge", "miku", 4, 8),
-    "miku 8 near": RealCapture("judge", "miku", 4, 8, "near"),
-    "miku 12 far": RealCapture("choose", "miku", 4, 12),
-    "miku 12 near": RealCapture("judge", "miku", 4, 12, "near"),
-    "miku 20 far": RealCapture("judge", "miku", 4, 20),
-    "miku 20 near": RealCapture("choose", "miku", 4, 20, "near"),
-    "miku 40 far": RealCapture("choose", "miku", 4, 40),
+PARTS = {
+    "banana, every 8th": Part("choose", "banana", every=EVERY),
+    "miku 8 far": Part("judge", "miku", 8),
+    "miku 8 near": Part("judge", "miku", 8, "near"),
+    "miku 12 far": Part("choose", "miku", 12),
+    "miku 12 near": Part("judge", "miku", 12, "near"),
+    "miku 20 far": Part("judge", "miku", 20),
+    "miku 20 near": Part("choose", "miku", 20, "near"),
+    "miku 40 far": Part("choose", "miku", 40),
+    "fox 24 far": Part("judge", "fox", 24),
+    "fox 24 near": Part("judge", "fox", 24, "near"),
+    "building 24 near": Part("judge", "building", 24, "near"),
+    "mouse 24 far": Part("judge", "mouse", 24),
 }
 
-NAMES = (*REAL, *PUBLIC, *RENDERED)
+NAMES = (*REAL, *PARTS, *PUBLIC, *RENDERED)
 """All captures, in the order of tables."""
 
-DRIFTING = (
-    "demo drift 40",
-    *(name for name in REAL if name.startswith("miku")),
-    *(name for name, public in PUBLIC.items() if not public.rendered),
+
+def whole_of(name: str) -> str:
+    """The capture whose photos these are."""
+    return PARTS[name].whole if name in PARTS else name
+
+
+DRIFTING = tuple(
+    name
+    for name in NAMES
+    if whole_of(name) in ("demo drift 40", "miku")
+    or (whole_of(name) in PUBLIC and not PUBLIC[whole_of(name)].rendered)
 )
 """Captures whose photos differ, or may differ, in exposure. What is held out is measured after a fit, see
 `trainer.exposure`, whether a run has learnt exposures or not, so that its runs can be compared."""
@@ -357,11 +382,13 @@ def part_of(capture: Capture, count: int | None, spread: str) -> Capture:
     return replace(capture, photos=tuple(capture.photos[i] for i in np.sort(kept)))
 
 
-def split_of(capture: Capture, split: int) -> Capture:
-    """The capture with a random third of its photos held out: `split` 0, 1 or 2 of one shuffle."""
-    order = np.random.default_rng(11).permutation(len(capture.photos))
-    place = np.argsort(order)
-    photos = [replace(p, held_out=bool(place[i] % SPLITS == split)) for i, p in enumerate(capture.photos)]
+def split_of(capture: Capture, split: int, every: int | None = None) -> Capture:
+    """The capture with a random third of its photos held out: `split` 0, 1 or 2 of one shuffle; or with one
+    of `every` photos, beginning with the first, as the command does, the second or the third."""
+    count = len(capture.photos)
+    place = np.arange(count) if every else np.argsort(np.random.default_rng(11).permutation(count))
+    held = place % (every or SPLITS) == split
+    photos = [replace(p, held_out=bool(out)) for p, out in zip(capture.photos, held, strict=True)]
     return replace(capture, photos=tuple(photos))
 
 
@@ -370,17 +397,25 @@ def bench_capture(
 ) -> Capture:
     """A capture of the bench by its name, with photos smaller by a factor; rendered ones are in `made`, see
     `make_all`. `downscale`: the factor of photographs in place of the bench's own."""
+    if name in PARTS:
+        part = PARTS[name]
+        whole = bench_capture(part.whole, data, made, smaller, downscale)
+        return part_of(whole, part.photos, part.spread)
     if name in REAL:
-        real = REAL[name]
-        whole = load_capture(
-            data / "captures" / real.folder, downscale=(downscale or real.downscale) * smaller
-        )
-        return part_of(whole, real.photos, real.spread)
+        return load_capture(data / "captures" / name, downscale=(downscale or REAL[name].downscale) * smaller)
     if name in PUBLIC:
         if not (made / name / "whole").exists():
             raise SystemExit(f"{name}: {made / name} has no posed photos: see public_captures.py")
         return load_capture(made / name, downscale=(downscale or PUBLIC[name].downscale) * smaller)
     return load_capture(folder_of(name, made), downscale=smaller)
+
+
+def bench_split(
+    name: str, split: int, data: Path, made: Path, smaller: int = 1, downscale: int | None = None
+) -> Capture:
+    """A capture of the bench with the photos of a split held out, as its name says which."""
+    whole = bench_capture(name, data, made, smaller, downscale)
+    return split_of(whole, split, PARTS[name].every if name in PARTS else None)
 
 
 Fault = Literal["turned 3", "turned 5", "moved", "swapped"]
@@ -472,9 +507,8 @@ def folder_of(name: str, made: Path) -> Path:
 
 
 def use_of(name: str) -> Use:
-    if name in PUBLIC:
-        return PUBLIC[name].use
-    return REAL[name].use if name in REAL else RENDERED[name][0]
+    found = {**REAL, **PARTS, **PUBLIC}.get(name)
+    return found.use if found else RENDERED[name][0]
 
 
 def make_all(data: Path, out: Path, names: list[str]) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from capture_set import RENDERED, bench_capture, folder_of, split_of, with_fault, with_passing
+from capture_set import RENDERED, bench_split, folder_of, with_fault, with_passing
 from PIL import Image
 from public_captures import PUBLIC
 
@@ -194,8 +194,9 @@ def main() -> None:
 
     warm_up(lens=True)
     large = options.downscale is not None
-    whole = bench_capture(options.name, options.data, options.made, options.smaller, options.downscale)
-    capture = split_of(whole, options.split)
+    capture = bench_split(
+        *(options.name, options.split, options.data, options.made, options.smaller, options.downscale)
+    )
     wrong: list[str] = []
     if options.fault:
         capture, wrong = with_fault(capture, options.fault, options.split)
