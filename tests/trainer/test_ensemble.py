@@ -22,7 +22,13 @@ from splatview.trainer.background import BackgroundTraining
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.distributed import Alone
 from splatview.trainer.effects import FEW_PHOTOS, SCENES, capture_effects
-from splatview.trainer.ensemble import OF_STUDENT, EnsembleTrainer, cameras_between, kind_of_trainer
+from splatview.trainer.ensemble import (
+    OF_STUDENT,
+    SPARE,
+    EnsembleTrainer,
+    cameras_between,
+    kind_of_trainer,
+)
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.memory import Machine, PhotoSizes, run_memory
 from splatview.trainer.plugin import LossPlugin
@@ -104,7 +110,7 @@ def test_the_last_scene_has_what_somebody_has_asked_for(make: Make, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("minutes", "scenes"), [(10.0, 4), (0.3, 4), (0.25, 3), (0.2, 1), (0.1, 1)]
+    ("minutes", "scenes"), [(10.0, 4), (0.3, 4), (0.25, 3), (0.15, 1), (0.1, 1)]
 )  # a scene takes 4 s
 def test_progress_goes_by_the_scenes_that_there_is_time_for(make: Make, minutes: float, scenes: int) -> None:
     """From the middle of the first scene on, when it is known how long one takes."""
@@ -118,10 +124,12 @@ def test_progress_goes_by_the_scenes_that_there_is_time_for(make: Make, minutes:
 
 
 def test_a_scene_that_follows_is_as_one_of_its_own(make: Make) -> None:
-    """Nothing of the scene before is left in it, but for the order of the photos."""
+    """Nothing of the scene before is left in it, but for the order of the photos. It may take its share of
+    the rest of the minutes."""
     trainer = make()
     whole(trainer, 1)
-    alone = make(Trainer, ensemble=1)
+    begun = trainer.begun / 60
+    alone = make(Trainer, ensemble=1, minutes=begun + (10 - begun) / (2 * SPARE))
     alone.counters.iteration = alone.first = alone.state["refined_at"] = STEPS
     alone.counters.seconds = alone.begun = trainer.begun
     whole(trainer, 2)
@@ -141,19 +149,33 @@ def test_without_time_one_scene_is_all(make: Make, minutes: float) -> None:
     assert trainer.scene is trainer.splats and trainer.taught is None
 
 
-def test_what_was_begun_is_whole_when_the_minutes_end(make: Make) -> None:
-    """Steps that become slower leave less time than was thought: the last scene still settles."""
-    trainer = make(minutes=0.3)  # 18 s, of which a scene takes 4
-    whole(trainer, 3)
-    run(trainer, lambda: trainer.done, each=0.4)
-    assert 17.5 < trainer.counters.seconds < 18.5
-    assert trainer.counters.iteration < 4 * STEPS and trainer.scene_progress == 1
+@pytest.mark.parametrize("minutes", [0.17, 0.18, 0.2])  # 10.2 s and more, where a scene takes 4
+def test_where_little_time_lacks_scenes_that_follow_end_sooner(make: Make, minutes: float) -> None:
+    """Two thirds of their length are better than one scene and idle minutes; both settle as a whole one."""
+    trainer, lengths, shares = make(minutes=minutes), [], []
+    while not trainer.done:
+        first, before = trainer.first, len(trainer.members)
+        trainer.step(trainer.counters.seconds + 0.1)
+        shares.append(trainer.progress)
+        if len(trainer.members) > before:
+            lengths.append(trainer.counters.iteration - first)
+    lengths.append(trainer.counters.iteration - trainer.first)
+    assert lengths[0] == STEPS and len(lengths) == 3 and len(trainer.members) == 2
+    assert STEPS * 0.66 <= lengths[1] <= lengths[2] <= STEPS and lengths[1] < STEPS
+    assert 60 * minutes - 0.2 < trainer.counters.seconds <= 60 * minutes + 0.1 or lengths[2] == STEPS
+    assert np.all(np.diff(shares) > -0.15) and shares[-1] == 1
 
-    trainer = make(minutes=0.3)
-    whole(trainer, 1)
-    run(trainer, lambda: trainer.done, each=0.4)  # the second ends with the minutes, and none follows
-    assert len(trainer.members) == 2 and trainer.taught is None and trainer.scene is trainer.splats
-    assert_same(trainer.splats.arrays, trainer.members[0])  # as was shown all along
+
+def test_what_was_begun_is_whole_when_the_minutes_end(make: Make) -> None:
+    """Steps that become slower leave less time than was thought: scenes still settle, and the last one is."""
+    for slow_from in (1, 3):
+        trainer = make(minutes=0.3)  # 18 s, of which a scene takes 4
+        whole(trainer, slow_from)
+        run(trainer, lambda trainer=trainer: trainer.done, each=0.4)
+        assert 17.5 < trainer.counters.seconds < 18.5
+        assert trainer.counters.iteration < 4 * STEPS and trainer.scene_progress == 1
+        assert trainer.taught is None and trainer.scene is trainer.splats
+        assert not any(np.array_equal(trainer.splats.arrays.means, one.means) for one in trainer.members)
 
 
 def test_the_first_scene_is_shown_and_saved_until_the_last_is_whole(make: Make) -> None:
