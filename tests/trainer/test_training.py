@@ -452,8 +452,10 @@ def test_scales_change_fast_but_for_the_classic_strategy_and_few_photos(capture_
     assert automatic_scale_rates(FEWEST_FOR_FAST - 1, True, "mcmc") == {}
     assert automatic_scale_rates(FEWEST_FOR_FAST, True, "mcmc") == FAST_SCALES
     monkeypatch.setattr(setup, "find_backdrop", lambda views: None)
-    everywhere = settings_for(capture, views, minutes=1)
-    assert everywhere.rates(0.2, 1.0).log_scales == paper.rates(0.2, 1.0).log_scales
+    few = TrainViews(train_views(capture.train[: FEWEST_FOR_FAST - 1]), 0)
+    of_few, of_more = (settings_for(capture, shown, minutes=1) for shown in (few, views))
+    assert of_few.rates(0.2, 1.0).log_scales == paper.rates(0.2, 1.0).log_scales
+    assert len(views) >= FEWEST_FOR_FAST and of_more.rates(0, 1.0).log_scales == fast.rates(0, 1.0).log_scales
 
 
 def test_photos_of_a_step_are_as_many_as_there_is_time_for(capture_folder) -> None:

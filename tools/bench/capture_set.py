@@ -333,11 +333,12 @@ PARTS = {
     "miku 12 near": Part("judge", "miku", 12, "near"),
     "miku 20 far": Part("judge", "miku", 20),
     "miku 20 near": Part("choose", "miku", 20, "near"),
+    "miku 24 far": Part("judge", "miku", 24),
     "miku 40 far": Part("choose", "miku", 40),
-    "fox 24 far": Part("judge", "fox", 24),
-    "fox 24 near": Part("judge", "fox", 24, "near"),
-    "building 24 near": Part("judge", "building", 24, "near"),
-    "mouse 24 far": Part("judge", "mouse", 24),
+    "fox 24 far": Part("choose", "fox", 24),
+    "fox 24 near": Part("choose", "fox", 24, "near"),
+    "building 24 near": Part("choose", "building", 24, "near"),
+    "mouse 24 far": Part("choose", "mouse", 24),
 }
 
 NAMES = (*REAL, *PARTS, *PUBLIC, *RENDERED)
