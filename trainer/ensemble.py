@@ -99,11 +99,12 @@ class EnsembleTrainer(Trainer):
         counters, settings = self.counters, self.settings
         steps, begun = counters.iteration - self.first, self.begun or counters.prepared
         share = settings.progress(steps, counters.seconds, begun, shorter=self.is_short)
+        end, lengths = 60 * (settings.minutes or 0.0), []
         if self.is_short and settings.shorter and settings.minutes and self.taught is None:
-            length = (60 * settings.minutes - counters.prepared) / LEAST_SCENES
-            share = max(share, min((counters.seconds - begun) / max(length, 1e-9), 1.0))
+            lengths.append((end - counters.prepared) / LEAST_SCENES)
         if self.members and self.taught is None and not self.is_last:
-            length = (60 * (settings.minutes or 0.0) - begun) / (2 * SPARE)  # as much is for the last one
+            lengths.append((end - begun) / (2 * SPARE))  # as much is for the last one
+        for length in lengths:
             share = max(share, min((counters.seconds - begun) / max(length, 1e-9), 1.0))
         return share
 
