@@ -48,26 +48,33 @@ def step_seconds(pixels: float, splats: int, photos: int = 1, *, large: bool = F
     return (once + photos * (of_pixels * pixels + (of_splats - ONCE_MS) * splats) / 1e3) / 1e3
 
 
+def photo_opacity(name: str, made: Path, camera: Any) -> np.ndarray | None:
+    """(H, W) uint8: the opacity of a camera's photo, in that camera's size; None where photos are opaque."""
+    if name not in (*RENDERED, *PUBLIC):
+        return None
+    path = folder_of(name, made) / camera.name
+    path = path if path.exists() else path.with_suffix(".png")  # NeRF's set names photos without
+    if not path.exists():
+        return None
+    with Image.open(path) as image:
+        if image.mode != "RGBA":
+            return None
+        size = (camera.width, camera.height)
+        return np.asarray(image.getchannel("A").resize(size, Image.Resampling.BOX))
+
+
 def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> float | None:
     """Mean opacity that the scene has where held-out photos are empty; None where photos are opaque."""
     from splatview.raster import Workspace, draw_frame
 
     found = []
-    if name not in (*RENDERED, *PUBLIC):
-        return None
     for view in views:
-        path = folder_of(name, made) / view.camera.name
-        path = path if path.exists() else path.with_suffix(".png")  # NeRF's set names photos without
-        if not path.exists():
+        opacity = photo_opacity(name, made, view.camera)
+        if opacity is None:
             return None
-        with Image.open(path) as image:
-            if image.mode != "RGBA":
-                return None
-            size = (view.camera.width, view.camera.height)
-            empty = np.asarray(image.getchannel("A").resize(size, Image.Resampling.BOX)) == 0
         drawn = draw_frame(parameters, view.camera, settings, Workspace()).image[..., 3]
-        if empty.any():
-            found.append(float(drawn[empty].mean()))
+        if (opacity == 0).any():
+            found.append(float(drawn[opacity == 0].mean()))
     return float(np.mean(found))
 
 
