@@ -85,7 +85,7 @@ def evaluation_line(progress: RunProgress, photos: int) -> str:
     assert evaluation is not None
     some = f" ({len(evaluation.scores)} of {photos} photos)" if len(evaluation.scores) < photos else ""
     return (
-        f"step {step.iteration:>7,}  {progress.seconds:7.1f} s  {step.gaussians:>9,} splats"
+        f"step {step.iteration:>7,}  {progress.seconds:7.1f} s  {progress.splats:>9,} splats"
         f"  held out: {evaluation.psnr:.2f} dB, SSIM {evaluation.ssim:.4f}{some}"
     )
 

@@ -113,6 +113,8 @@ class RunProgress(NamedTuple):
     """Scores of this step, if it was evaluated."""
     prepared: float = 0.0
     """Of the seconds, those before the first step."""
+    splats: int = 0
+    """Of the scene that is measured, shown and saved, which may be another than the one in training."""
 
     @property
     def seconds_left(self) -> float:
@@ -345,7 +347,9 @@ class TrainingRun:
             self._write_metrics(report, evaluation)
         if time.perf_counter() - self._checkpointed >= CHECKPOINT_SECONDS:
             self.checkpoint()
-        progress = RunProgress(report, self.seconds, evaluation, self.trainer.counters.prepared)
+        progress = RunProgress(
+            report, self.seconds, evaluation, self.trainer.counters.prepared, len(self.trainer.scene)
+        )
         self.on_progress(progress)
         return progress
 

@@ -526,10 +526,11 @@ def test_the_scene_that_waits_is_measured_once(
 ) -> None:
     monkeypatch.setattr("splatview.trainer.run.EVALUATION_SHARE", np.inf)
     trainer, measured = make(), []
+    trainer.initial = Parameters(*(array[:50] for array in trainer.initial))  # what the next one begins with
 
     def note(progress: RunProgress) -> None:
         if progress.evaluation is not None:
-            measured.append(progress.step.iteration)
+            measured.append((progress.step.iteration, progress.splats))
 
     outputs = Outputs(
         scene=tmp_path / "a.ply", checkpoint=tmp_path / "a.safetensors", metrics=None, pictures=tmp_path / "p"
@@ -538,7 +539,9 @@ def test_the_scene_that_waits_is_measured_once(
         trainer, views[1:2], outputs, started=time.perf_counter(), eval_seconds=0.0, on_progress=note
     )
     assert going.run()
-    assert measured == list(range(1, STEPS + 1))  # eval_seconds of 0 asks for it after every step
+    steps = [iteration for iteration, _ in measured]
+    assert steps == list(range(1, STEPS + 1))  # eval_seconds of 0 asks for it after every step
+    assert measured[-1][1] == len(trainer.members[0].means) > 50  # while the next one is in training
     last = going.final_evaluation()
     assert last is going.evaluation is not None and going.evaluated_at == 4 * STEPS
 
