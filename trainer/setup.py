@@ -116,7 +116,7 @@ def settings_for(
     along = fields.get("resolution", levels)
     # By evidence (None) nobody knows yet how long photos will be smaller.
     of_a_minute = steps_of_a_minute(pixels / photos, levels if along is None else along)
-    batch = automatic_batch(timed, few_steps, threads, of_a_minute)
+    batch = automatic_batch(timed, few_steps, threads, of_a_minute, everywhere=everywhere)
     if iterations is None:
         iterations = few_steps or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))

@@ -459,8 +459,10 @@ def test_scales_change_fast_but_for_the_classic_strategy_and_few_photos(capture_
 
 
 def test_photos_of_a_step_are_as_many_as_there_is_time_for(capture_folder) -> None:
-    assert [automatic_batch(minutes, None, 2) for minutes in (None, 0.1, 1, 3, 10, 1e6)] == [1, 1, 1, 2, 2, 2]
-    assert [automatic_batch(3, None, threads) for threads in (1, 2, 8, 64)] == [1, 2, 2, 2]
+    minutes = (None, 0.1, 1, 3, 7, 10, 1e6)
+    assert [automatic_batch(m, None, 2) for m in minutes] == [1, 1, 1, 2, 2, 4, 4]
+    assert [automatic_batch(m, None, 2, everywhere=False) for m in minutes] == [1, 1, 1, 2, 2, 2, 2]
+    assert [automatic_batch(3, None, threads) for threads in (1, 2, 8, 64)] == [1, 2, 4, 4]
     assert automatic_batch(10, 6_000, 2) == 1
     levels = automatic_levels([(800, 800)], 3, 2)
     assert automatic_batch(3, None, 2, steps_of_a_minute(800 * 800, levels)) == 1
@@ -472,6 +474,9 @@ def test_photos_of_a_step_are_as_many_as_there_is_time_for(capture_folder) -> No
     many = TrainViews(few * (-(-FEW_PHOTOS // len(few))), 0)
     assert settings_for(capture, many, minutes=10, threads=2).batch == 2
     assert settings_for(capture, many, minutes=10, threads=2, batch=3).batch == 3
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(setup, "find_backdrop", lambda views: None)
+        assert settings_for(capture, many, minutes=10, threads=2).batch == 4, "they show something everywhere"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(TrainViews, "pixel_count", 400_000 * len(many))
         levels = ((0.9, 4),)

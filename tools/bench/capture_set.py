@@ -338,6 +338,7 @@ PARTS = {
     "fox 24 far": Part("choose", "fox", 24),
     "fox 24 near": Part("choose", "fox", 24, "near"),
     "building 24 near": Part("choose", "building", 24, "near"),
+    "building, every 8th": Part("judge", "building", every=EVERY),
     "mouse 24 far": Part("choose", "mouse", 24),
 }
 
