@@ -149,12 +149,12 @@ def automatic_batch(
     `lego` at 800x800 30.79 and 30.19 dB. Judged: `miku` at 981x735 29.35 and 29.29, `bonsai` 25.63 and 25.64,
     `chair` at 800x800 32.14 and 32.26.
 
-    Ten minutes by two and by four (batch_long.json). Photos of everything also differ by exposures, shadows
-    and noise, which four average out. Chosen: `miku` 31.09 and 31.21 dB (three splits, of which none loses;
-    by three, one split, +0.16). Judged: `building` at a third of the bench's size, every 8th photo held out,
-    20.84 and 21.08, and, where photos show an object, `lego` 35.96 and 36.04, but `skull RGBA 100`, which
-    shines, 34.40 and 34.21 (by three 34.28): these keep two. Dropped, for `miku`: three scenes of its photos
-    and a last one that learns from them, 30.63 in place of 30.77 (split 0); half as many splats, 30.72.
+    Ten minutes by two and by four (batch_long.json). Chosen: `miku` 31.09 and 31.21 dB (three splits, of
+    which none loses; by three, one split, +0.16). Judged: `building` at a third of the bench's size, every
+    8th photo held out, 20.84 and 21.08, and, where photos show an object, `lego` 35.96 and 36.04, but `skull
+    RGBA 100`, which shines, 34.40 and 34.21 (by three 34.28): these keep two. Dropped, for `miku`: three
+    scenes of its photos and a last one that learns from them, 30.63 in place of 30.77 (split 0); 36,000
+    splats at most, of which 22,000 are left (in place of 56,000), 30.72.
     """
     if minutes is None or steps is not None:
         return 1
