@@ -15,15 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
+from bench_seen import depth_of, places_at, trained_scene
 from capture_set import SPLITS, bench_split, use_of
-from generalisation_run import START, photo_opacity, step_seconds
+from generalisation_run import photo_opacity
 
 from splatview.measure.machine import FOLDER, write_results
-from splatview.raster import Parameters, Workspace, draw_frame
-from splatview.scene import Camera, RenderSettings
-from splatview.trainer.functional import rasterize_depth
-from splatview.trainer.setup import kernel_threads_only, settings_for, trainer_for
+from splatview.raster import Workspace, draw_frame
+from splatview.scene import Camera
 from splatview.trainer.views import TrainViews, train_views
 from splatview.trainer.warm_up import warm_up
 
@@ -45,31 +43,6 @@ NOTE = (
 )
 
 
-def trained(name: str, split: int, data: Path, made: Path) -> tuple[Any, Any, Parameters, RenderSettings]:
-    """Views trained on, views held out, and the scene."""
-    capture = bench_split(name, split, data, made)
-    centre = capture.centre
-    capture = capture.about(centre)
-    views, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
-    settings = settings_for(capture, views, minutes=MINUTES)
-    trainer = trainer_for(capture, views, settings, centre=centre, threads=1)
-    pixels, used = views.pixel_count / len(views), START
-    with kernel_threads_only():
-        while not trainer.done:
-            used += step_seconds(pixels / trainer.downscale**2, len(trainer.splats), settings.batch)
-            trainer.step(used)
-    return views.all, held_out, trainer.splats.arrays, trainer.shown_settings
-
-
-def places_of(parameters: Parameters, camera: Camera, settings: RenderSettings) -> np.ndarray:
-    """(H·W, 3): where in the world each pixel's mean depth is; at the camera where nothing is drawn."""
-    means, quats, log_scales, opacity_logits, _ = map(torch.from_numpy, parameters)
-    depth = rasterize_depth(means, quats, log_scales, opacity_logits, camera, settings)
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    local = camera.points_at(np.stack([x, y], axis=-1).reshape(-1, 2), 1.0) * depth.numpy().reshape(-1, 1)
-    return (local - camera.t_camera_world) @ camera.R_camera_world
-
-
 def told_empty(places: np.ndarray, photos: list[tuple[Camera, np.ndarray]]) -> np.ndarray:
     """(P,) bool: whether a photo is transparent at these places (P, 3) of the world. `photos`: their cameras
     and opacities (H, W)."""
@@ -87,16 +60,20 @@ def told_empty(places: np.ndarray, photos: list[tuple[Camera, np.ndarray]]) -> n
 def measured(name: str, split: int, data: Path, made: Path) -> dict[str, Any]:
     """Empty pixels of a split's held-out photos, and their opacities in sum: of those that hide from all
     photos trained on, and of the others."""
-    views, held_out, parameters, settings = trained(name, split, data, made)
-    opacities = [photo_opacity(name, made, view.camera) for view in views]
-    photos = [(v.camera, found) for v, found in zip(views, opacities, strict=True) if found is not None]
+    capture = bench_split(name, split, data, made)
+    centre = capture.centre
+    capture = capture.about(centre)
+    views = TrainViews(train_views(capture.train), 0)
+    scene = trained_scene(capture, views, MINUTES, centre)
+    opacities = [photo_opacity(name, made, view.camera) for view in views.all]
+    photos = [(v.camera, found) for v, found in zip(views.all, opacities, strict=True) if found is not None]
     pixels, sums = np.zeros(2, np.int64), np.zeros(2)
-    for view in held_out:
+    for view in train_views(capture.held_out):
         photo = photo_opacity(name, made, view.camera)
         if photo is None:
             raise SystemExit(f"{name}: its photos are opaque, name captures that are transparent")
-        drawn = draw_frame(parameters, view.camera, settings, Workspace()).image[..., 3].reshape(-1)
-        hidden = ~told_empty(places_of(parameters, view.camera, settings), photos) & (drawn >= LEAST)
+        drawn = draw_frame(scene[0], view.camera, scene[1], Workspace()).image[..., 3].reshape(-1)
+        hidden = ~told_empty(places_at(depth_of(scene, view.camera), view.camera), photos) & (drawn >= LEAST)
         empty = photo.reshape(-1) == 0
         for place, chosen in enumerate((empty & hidden, empty & ~hidden)):
             pixels[place] += int(chosen.sum())

@@ -25,6 +25,7 @@ from PIL import Image
 from splatview.measure.machine import FOLDER, write_results
 from splatview.raster import Parameters
 from splatview.scene import Camera, RenderSettings
+from splatview.scene.captures import Capture
 from splatview.trainer.exposure import fitted_by_tiles
 from splatview.trainer.functional import rasterize_depth
 from splatview.trainer.setup import kernel_threads_only, settings_for, trainer_for
@@ -53,11 +54,12 @@ NOTE = (
 )
 
 
-def whole_scene(data: Path, made: Path, centre: np.ndarray) -> tuple[Parameters, RenderSettings]:
-    """A scene of all photos, about `centre`."""
-    capture = bench_capture(WHOLE, data, made, 1).about(centre)
-    views = TrainViews(train_views(capture.photos), 0)
-    settings = settings_for(capture, views, minutes=MINUTES)
+def trained_scene(
+    capture: Capture, views: TrainViews, minutes: float, centre: np.ndarray
+) -> tuple[Parameters, RenderSettings]:
+    """The scene of a run of so many minutes of the bench, and how it is drawn. `capture` and `views` are
+    about `centre`."""
+    settings = settings_for(capture, views, minutes=minutes)
     trainer = trainer_for(capture, views, settings, centre=centre, threads=1)
     pixels, used = views.pixel_count / len(views), START
     with kernel_threads_only():
@@ -67,26 +69,38 @@ def whole_scene(data: Path, made: Path, centre: np.ndarray) -> tuple[Parameters,
     return trainer.splats.arrays, trainer.shown_settings
 
 
+def whole_scene(data: Path, made: Path, centre: np.ndarray) -> tuple[Parameters, RenderSettings]:
+    """A scene of all photos, about `centre`."""
+    capture = bench_capture(WHOLE, data, made, 1).about(centre)
+    return trained_scene(capture, TrainViews(train_views(capture.photos), 0), MINUTES, centre)
+
+
+def depth_of(scene: tuple[Parameters, RenderSettings], camera: Camera) -> np.ndarray:
+    """(H, W): the mean depth of what each pixel shows, 0 where that is nothing."""
+    means, quats, log_scales, opacity_logits, _ = map(torch.from_numpy, scene[0])
+    return rasterize_depth(means, quats, log_scales, opacity_logits, camera, scene[1]).numpy()
+
+
+def places_at(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """(H·W, 3): where in the world the pixels of a camera are at a depth (H, W) each."""
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    local = camera.points_at(np.stack([x, y], axis=-1).reshape(-1, 2), 1.0) * depth.reshape(-1, 1)
+    return (local - camera.t_camera_world) @ camera.R_camera_world
+
+
 def photos_of_places(
     scene: tuple[Parameters, RenderSettings], camera: Camera, trained: list[Camera]
 ) -> np.ndarray:
     """(H, W): how many of the cameras `trained` show what each pixel of `camera` shows."""
-
-    def depth(shown: Camera) -> np.ndarray:
-        means, quats, log_scales, opacity_logits, _ = map(torch.from_numpy, scene[0])
-        return rasterize_depth(means, quats, log_scales, opacity_logits, shown, scene[1]).numpy()
-
-    at = depth(camera)
-    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    local = camera.points_at(np.stack([x, y], axis=-1).reshape(-1, 2), 1.0) * at.reshape(-1, 1)
-    places = (local - camera.t_camera_world) @ camera.R_camera_world
+    at = depth_of(scene, camera)
+    places = places_at(at, camera)
     count = np.zeros(len(places), np.int64)
     for other in trained:
         there = places @ other.R_camera_world.T + other.t_camera_world
         u, v = other.image_points(there).T
         with np.errstate(invalid="ignore"):
             inside = (there[:, 2] > 0) & (u >= 0) & (u < other.width) & (v >= 0) & (v < other.height)
-        known, rows = depth(other), np.flatnonzero(inside & (at.reshape(-1) > 0))
+        known, rows = depth_of(scene, other), np.flatnonzero(inside & (at.reshape(-1) > 0))
         same = known[v[rows].astype(int), u[rows].astype(int)] / there[rows, 2]
         count[rows[np.abs(same - 1) < TOLERANCE]] += 1
     return count.reshape(at.shape)
