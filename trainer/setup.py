@@ -186,12 +186,14 @@ def trainer_for(
     `views` are about `centre`; `asked` names fields of `settings` that somebody has chosen, which none of
     several scenes does without; `on_note` is told what stereo and a look for a sky have found. Raises
     Cancelled."""
-    extent = capture.scene_radius
     if settings.backdrop == "auto":
         views = standing_before(views, settings.background)
     points, colours = start_points(
         capture, views, settings, threads=threads, on_note=on_note, progress=progress
     )
+    are_random = capture.guessed and points is capture.points
+    distance = replace(capture, points=points).usual_distance
+    extent = capture.scene_radius if are_random else distance
     sky = find_sky(
         capture,
         views.all,
@@ -199,7 +201,7 @@ def trainer_for(
         mode=settings.sky,
         most=settings.max_splats,
         background=settings.background,
-        random_points=capture.guessed and points is capture.points,
+        random_points=are_random,
     )
     if sky.count:
         on_note(f"{sky.count:,} far splats are the sky: {sky.evidence}")
@@ -219,9 +221,8 @@ def trainer_for(
     )
     if isinstance(trainer, EnsembleTrainer):
         trainer.asked |= set(asked)
-    distance = replace(capture, points=points).usual_distance
     trainer.optimizer.set_options("means", middle=capture.middle, distance=distance)
-    if not (capture.guessed and points is capture.points):  # random points say nothing
+    if not are_random:  # random points say nothing
         trainer.nearest_depths = nearest_depths(points, views.all)
         # Where splats begin, so that what is decided does not go by how long the run is.
         trainer.exposures.measure(trainer.places, views.sized(trainer.downscale), settings.background)

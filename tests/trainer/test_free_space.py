@@ -10,6 +10,7 @@ import pytest
 
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import ImageModel
+from splatview.scene.captures import Capture
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.scene.effects.overrides import settings_for as scene_settings
 from splatview.scene.formats import load_scene, save_scene
@@ -195,6 +196,20 @@ def test_random_points_say_nothing(views: list[TrainView], start: Parameters) ->
         settings: TrainSettings = settings_for(told, ring, iterations=10, start="points")
         trainer = trainer_for(told, ring, settings, centre=np.zeros(3))
         assert (trainer.nearest_depths > 0).any() != guessed
+
+
+def test_the_extent_is_how_far_the_scene_is(views: list[TrainView], start: Parameters) -> None:
+    colours = np.full((len(start.means), 3), 128, np.uint8)
+    around, ring = capture_of(views, start.means.astype(float), colours), TrainViews(views, 0)
+    ahead = replace(around, points=9 * around.points)
+    settings: TrainSettings = settings_for(around, ring, iterations=10, start="points", sky="off")
+
+    def extent(capture: Capture) -> float:
+        return trainer_for(capture, ring, settings, centre=np.zeros(3)).extent
+
+    assert extent(around) == around.scene_radius
+    assert extent(ahead) == ahead.usual_distance > around.scene_radius
+    assert extent(replace(ahead, guessed=True)) == ahead.scene_radius, "random points say nothing"
 
 
 def with_strays(start: Parameters) -> Parameters:

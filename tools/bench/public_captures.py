@@ -72,19 +72,22 @@ PUBLIC = {
     "building": PublicCapture("choose", "sbradley374/gaussian-splat-test", "images", 5, every=2),
     "lego": PublicCapture("choose", "ewaMiazga/beta-splatting-ewa", "lego/train", 4, rendered=True),
     "chair": PublicCapture("judge", "rounak890/nerf_data", "train", 4, rendered=True),
+    "queen": PublicCapture("judge", "bartoszek/test_colmap", "dense/0/images", 2, poses="dense/0/sparse"),
+    "fern": PublicCapture("judge", "luo-ziyuan/CopyRNeRF-code", "data/nerf_llff_data/fern/images", 8),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
 a shore from a drone; another doll; a stone head on a table; a computer mouse before white paper; a
 monument in a park; things on boxes before a cloth, by nine cameras side by side; a tree on a table in a
 room (Barron et al. 2022); a house of bricks, from all its sides (Hane et al. 2013); two of the transparent
-renderings by which NeRF was first measured (Mildenhall et al. 2020), at a quarter of their size."""
+renderings by which NeRF was first measured (Mildenhall et al. 2020), at a quarter of their size; a clay
+figurine on paper; a palm in a hall, seen from 20 places side by side (Mildenhall et al. 2019)."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:
     """The git directory of a repository. Raises SystemExit where there is none."""
     clone = clones / repository.replace("/", "+")
-    for place in (clone / "repo", clone / ".git", clone):
+    for place in (clone / "repo" / ".git", clone / "repo", clone / ".git", clone):
         if (place / "HEAD").exists():
             return place
     raise SystemExit(f"{clone}: no clone of {repository}")
