@@ -43,7 +43,13 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_capture,
 )
-from splatview.trainer.photo_size import automatic_batch, automatic_levels, downscale_for, steps_of_a_minute
+from splatview.trainer.photo_size import (
+    HALF_THE_SIZE,
+    automatic_batch,
+    automatic_levels,
+    downscale_for,
+    steps_of_a_minute,
+)
 from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
 from splatview.trainer.settings import (
     FULL_REG_LOSS,
@@ -121,7 +127,8 @@ def settings_for(
         iterations = few_steps or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))
     fewer = None
-    if few_steps is not None and timed is not None and everywhere:
+    # Where there is no time for all pixels of one scene, there is none for several.
+    if few_steps is not None and timed is not None and everywhere and levels == HALF_THE_SIZE:
         fewer = automatic_shorter(photos, few_steps, timed, threads)
     automatic: dict[str, Any] = {
         "batch": batch,

@@ -521,6 +521,19 @@ def test_how_short_scenes_are() -> None:
     assert automatic_shorter(10, 4_650, minutes=3, threads=2) is None
 
 
+def test_large_photos_leave_no_time_for_several_scenes(start: Parameters) -> None:
+    """Where most of a run is on smaller photos because there is no time for all pixels."""
+    colours, rng = np.full((len(start.means), 3), 128, np.uint8), np.random.default_rng(5)
+    for (width, height), shorter in (((80, 60), True), ((800, 600), False)):
+        ring = [(3 * np.sin(a), 0.5, 3 * np.cos(a)) for a in np.linspace(0, 6, 21)]
+        cameras = [look_at(eye, (0, 0, 0), width=width, height=height) for eye in ring]
+        pixels = [rng.integers(0, 256, (height, width, 3), np.uint8) for _ in ring]
+        noise = [TrainView(camera, array) for camera, array in zip(cameras, pixels, strict=True)]
+        capture = capture_of(noise, start.means.astype(float), colours)
+        settings = settings_for(capture, TrainViews(noise, 0), minutes=3.0, threads=2)
+        assert (settings.shorter is not None) == shorter
+
+
 def test_the_scene_that_waits_is_measured_once(
     make: Make, tmp_path: Path, views: list[TrainView], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -73,7 +73,7 @@ PUBLIC = {
     "lego": PublicCapture("choose", "ewaMiazga/beta-splatting-ewa", "lego/train", 4, rendered=True),
     "chair": PublicCapture("judge", "rounak890/nerf_data", "train", 4, rendered=True),
     "queen": PublicCapture("judge", "bartoszek/test_colmap", "dense/0/images", 2, poses="dense/0/sparse"),
-    "fern": PublicCapture("judge", "luo-ziyuan/CopyRNeRF-code", "data/nerf_llff_data/fern/images", 8),
+    "fern": PublicCapture("choose", "luo-ziyuan/CopyRNeRF-code", "data/nerf_llff_data/fern/images", 8),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
