@@ -127,7 +127,8 @@ def settings_for(
         iterations = few_steps or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))
     fewer = None
-    # Where there is no time for all pixels of one scene, there is none for several.
+    # Where there is no time for all pixels of one scene, there is none for several: three minutes of `fern`,
+    # 17 photos of 1344x1008 px, have 23.70 dB by one, 22.61 by two and a last one (shorter.json).
     if few_steps is not None and timed is not None and everywhere and levels == HALF_THE_SIZE:
         fewer = automatic_shorter(photos, few_steps, timed, threads)
     automatic: dict[str, Any] = {
@@ -200,6 +201,7 @@ def trainer_for(
     )
     are_random = capture.guessed and points is capture.points
     distance = replace(capture, points=points).usual_distance
+    # Cameras side by side stand nearer to one another than to the scene, see extent.json.
     extent = capture.scene_radius if are_random else distance
     sky = find_sky(
         capture,
