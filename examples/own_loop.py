@@ -26,7 +26,7 @@ def train(folder: str, steps: int, strategy_name: str, downscale: int) -> Splats
     import torch
 
     capture = load_capture(folder, downscale=downscale)
-    views, extent = train_views(capture.train), capture.usual_distance
+    views, extent = train_views(capture.train), capture.extent
     settings = TrainSettings(iterations=steps, strategy=strategy_name, max_splats=50_000)
 
     splats = Splats(initial_parameters(capture.points, capture.point_colours, extent))

@@ -165,6 +165,13 @@ class Capture:
         return max(float(np.median(distances)), self.scene_radius)
 
     @property
+    def extent(self) -> float:
+        """World units: the scale by which a scene is trained, its `usual_distance`. The `scene_radius` of
+        Kerbl et al. 2023, which is less where cameras stand side by side, where nothing is known of points.
+        """
+        return self.scene_radius if self.guessed else self.usual_distance
+
+    @property
     def centre(self) -> np.ndarray:
         """(3,) float64, world units: what float32 positions should be relative to. 0 where the cameras are
         near the origin, else their mean, rounded: then a position and this add up without loss."""

@@ -46,7 +46,8 @@ def test_scene_radius(tmp_path, colmap_capture):
     assert around.usual_distance == around.scene_radius
     rays = capture.points / np.linalg.norm(capture.points, axis=1, keepdims=True)
     ahead = replace(capture, points=eyes.mean(axis=0) + 7 * radius * rays)
-    assert ahead.usual_distance == pytest.approx(7 * radius)
+    assert ahead.extent == ahead.usual_distance == pytest.approx(7 * radius)
+    assert replace(ahead, guessed=True).extent == ahead.scene_radius
 
 
 def test_by_the_folder_of_the_model_and_with_photos_beside_it(tmp_path, colmap_capture):
