@@ -347,6 +347,12 @@ def make_parser() -> Parser:
         help="learn each photo's exposure (default: auto, where photos differ)",
     )
     group.add_argument(
+        "--shading",
+        choices=("auto", "on", "off"),
+        help="learn a coarse map of gains for each photo, for shadows and other light that falls on it alone"
+        " (default: auto, where few photos show each place)",
+    )
+    group.add_argument(
         "--outliers",
         choices=("auto", "off"),
         help="leave out photos that disagree with the others, as those of a wrong pose do (default: auto)",

@@ -57,6 +57,8 @@ class Checkpoint:
     """State of the strategy, but for what the capture says."""
     exposure: dict[str, np.ndarray]
     """Arrays of the photos' exposures, see `Exposures.state`."""
+    shading: dict[str, np.ndarray]
+    """Arrays of the photos' shading, see `Shadings.state`; none in older files."""
     evidence: dict[str, np.ndarray]
     """Arrays of what the run has found out about itself; none in older files."""
     scenes: dict[str, np.ndarray]
@@ -84,6 +86,7 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
         if name not in ELSEWHERE:
             arrays[f"control.{STATE_NAMES.get(name, name)}"] = np.atleast_1d(value)
     arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
+    arrays |= {f"shading.{name}": array for name, array in trainer.shadings.state().items()}
     evidence = trainer.resolution.state() | trainer.outliers.state() | trainer.withheld.state()
     evidence["nearest_depths"] = trainer.nearest_depths
     means = optimizer.param_groups[0]
@@ -151,7 +154,13 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     optimizer.steps = checkpoint.counters.iteration
     trainer.extent = checkpoint.extent
     trainer.state |= checkpoint.state | {"extent": checkpoint.extent}
-    trainer.exposures.restore(checkpoint.exposure)
+    try:
+        trainer.exposures.restore(checkpoint.exposure)
+        trainer.shadings.restore(checkpoint.shading)
+    except (KeyError, ValueError) as error:
+        raise InputError(
+            f"the checkpoint's exposures are not those of its photos: {error}; it is damaged"
+        ) from None
     if "progressive" in checkpoint.evidence:
         trainer.resolution.restore(checkpoint.evidence)
     if "outliers" in checkpoint.evidence:
@@ -219,6 +228,7 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
         next_id=next_id,
         state=state,
         exposure=_under("exposure.", arrays),
+        shading=_under("shading.", arrays),
         evidence=_under("evidence.", arrays),
         scenes=scenes,
         photos=[list(photo) for photo in run["photos"]],

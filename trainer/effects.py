@@ -44,6 +44,8 @@ POINTS = 2000
 
 EXPOSURE = "exposure of each photo"
 
+SHADING = "shading of each photo"
+
 OUTLIERS = "photos left out"
 
 PASSING = "splats of one photo"
@@ -111,6 +113,7 @@ def capture_effects(
     return (
         _sh_bands(settings),
         _exposure(settings),
+        _shading(settings),
         _outliers(len(capture.train), settings),
         _passing(settings),
         _frozen(len(capture.train), settings),
@@ -324,6 +327,16 @@ def _exposure(settings: TrainSettings) -> Effect:
         why=why[settings.exposure],
         saving=Saving(what=what),
     )
+
+
+def _shading(settings: TrainSettings) -> Effect:
+    what = "a coarse map of gains for each photo, fitted and applied in each step"
+    why = (
+        "many photos show each place, or an object alone, or it is off as asked for"
+        if not settings.shading
+        else f"shadows and other light that falls on one photo alone: {what}; the scene has the average light"
+    )
+    return Effect(name=SHADING, on=settings.shading, why=why, saving=Saving(what=what))
 
 
 def _masks(capture: Capture) -> Effect:

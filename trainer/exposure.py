@@ -58,11 +58,13 @@ from itertools import combinations
 from typing import Literal, NamedTuple
 
 import numpy as np
+import torch
 from PIL import Image, ImageFilter
 
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
-from splatview.trainer.adam_kernels import BETA1, BETA2
+from splatview.trainer.adam import PhotoAdam
+from splatview.trainer.functional import expose
 from splatview.trainer.views import TrainView, opacities
 
 Mode = Literal["auto", "on", "off"]
@@ -157,8 +159,7 @@ class Exposures:
         """(P, 3, 2): log gain and offset of each photo and colour; their means over photos are 0."""
         self.gradients = np.zeros(shape)
         """Of the loss by the table in this step, 0 for photos that are not part of it."""
-        self._first, self._second = np.zeros(shape), np.zeros(shape)
-        self._visits = np.zeros(len(self.names), np.int64)
+        self._adam = PhotoAdam(shape)
         self._rows = {name: row for row, name in enumerate(self.names)}
 
     def is_due(self, progress: float, rounds: float) -> bool:
@@ -207,21 +208,29 @@ class Exposures:
         """(3, 2): log gain and offset of a photo's colours, see `functional.expose`."""
         return self.table[self._rows[name]]
 
-    def add_gradient(self, name: str, gradient: np.ndarray) -> None:
-        """Adds the gradient (3, 2) of a photo's row to `gradients`."""
-        self.gradients[self._rows[name]] += gradient
+    def exposed(
+        self,
+        image: torch.Tensor,
+        name: str,
+        background: tuple[float, float, float] | None = None,
+        threads: int | None = None,
+    ) -> torch.Tensor:
+        """The picture (H, W, 4) at the exposure of the photo of this name, see `functional.expose`; gradients
+        through it by that are added to `gradients`."""
+        row = self._rows[name]
+
+        def add(gradient: torch.Tensor) -> None:
+            self.gradients[row] += gradient.numpy()
+
+        exposure = torch.from_numpy(self.table[row]).requires_grad_()
+        exposure.register_hook(add)
+        return expose(image, exposure, background, threads)
 
     def step(self, progress: float, batch: int) -> None:
         """One step of Adam for the photos that `gradients`, sums over a batch of so many, name."""
         rows = np.flatnonzero((self.gradients != 0).any(axis=(1, 2)))
         rate = RATE * (RATE_END / RATE) ** progress
-        g = self.gradients[rows] / batch
-        self._visits[rows] += 1
-        visits = self._visits[rows, None, None]
-        m = self._first[rows] = BETA1 * self._first[rows] + (1 - BETA1) * g
-        v = self._second[rows] = BETA2 * self._second[rows] + (1 - BETA2) * g * g
-        m, v = m / (1 - BETA1**visits), v / (1 - BETA2**visits)
-        self.table[rows] -= rate * m / (np.sqrt(v) + 1e-15)
+        self.table[rows] += self._adam.moves(rows, self.gradients[rows] / batch, rate)
         # Brighter splats and lower gains look the same: the scene keeps the average exposure.
         self.table -= self.table.mean(axis=0)
         self.gradients[:] = 0
@@ -231,21 +240,15 @@ class Exposures:
         return {
             "decision": np.array([self.is_decided, self.is_on]),
             "table": self.table,
-            "first": self._first,
-            "second": self._second,
-            "visits": self._visits,
             "evidence": np.array(self.evidence or (np.nan,) * 3),
+            **self._adam.state(),
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Goes on where another's `state` was taken, of the same photos."""
         self.is_decided, self.is_on = (bool(value) for value in state["decision"])
-        for ours, name in zip(
-            (self.table, self._first, self._second, self._visits),
-            ("table", "first", "second", "visits"),
-            strict=True,
-        ):
-            ours[:] = state[name]
+        self.table[:] = state["table"]
+        self._adam.restore(state)
         found = state.get("evidence", np.full(3, np.nan))
         self.evidence = None if np.isnan(found).any() else Evidence(*found.tolist())
 

@@ -283,3 +283,27 @@ def expose_backward_rows(start, stop, image, d_exposed, gain, offset, behind, is
                     d_image[y, x, 3] += d * shift
             sums[y, channel, 0] = by_gain
             sums[y, channel, 1] = by_offset
+
+
+@kernel
+def shade_rows(start, stop, image, gains, shaded):
+    """Rows [start, stop) of shaded (H, W, 4): the colours of image (H, W, 4) times gains (H, W)."""
+    for y in range(start, stop):
+        for x in range(image.shape[1]):
+            for channel in range(3):
+                shaded[y, x, channel] = gains[y, x] * image[y, x, channel]
+            shaded[y, x, 3] = image[y, x, 3]
+
+
+@kernel
+def shade_backward_rows(start, stop, image, d_shaded, gains, d_image, by_gain):
+    """Rows [start, stop) of the gradients of `shade_rows` by image (H, W, 4) and by gains (H, W)."""
+    for y in range(start, stop):
+        for x in range(image.shape[1]):
+            total = type(gains[y, x])(0)
+            for channel in range(3):
+                d = d_shaded[y, x, channel]
+                d_image[y, x, channel] = gains[y, x] * d
+                total += d * image[y, x, channel]
+            d_image[y, x, 3] = d_shaded[y, x, 3]
+            by_gain[y, x] = total

@@ -67,6 +67,7 @@ from splatview.trainer.settings import (
     automatic_shorter,
     automatic_steps,
 )
+from splatview.trainer.shading import automatic_shading
 from splatview.trainer.sky import find_sky, with_sky
 from splatview.trainer.stereo import stereo_points, thinned
 from splatview.trainer.trainer import Trainer
@@ -143,6 +144,7 @@ def settings_for(
         "max_aspect": automatic_max_aspect(photos),
         "sh_divisor": automatic_sh_divisor(shown, steps),
         "far_from": automatic_far_from(photos, everywhere),
+        "shading": automatic_shading(everywhere, shown),
         "model": model_for(capture, antialiased),
         "resolution": levels,
         **automatic_scale_rates(photos, everywhere, fields.get("strategy", TrainSettings.strategy)),

@@ -30,12 +30,13 @@ from splatview.trainer.free_space import (
     shown_by_few,
     worth_keeping,
 )
-from splatview.trainer.functional import Visibility, dropout, expose, photo_loss, rasterize
+from splatview.trainer.functional import Visibility, dropout, photo_loss, rasterize
 from splatview.trainer.initialisation import comments_for
 from splatview.trainer.outliers import Outliers
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
 from splatview.trainer.progressive import ProgressiveResolution, mean_difference
 from splatview.trainer.settings import TrainSettings
+from splatview.trainer.shading import Shadings
 from splatview.trainer.sky import Sky, hold, restore
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
@@ -44,7 +45,7 @@ from splatview.trainer.strategies.ops import State, keep, raise_sh_degree
 from splatview.trainer.views import TrainView, TrainViews
 from splatview.trainer.withheld import SETTLED, Withheld
 
-KEPT = ("seed", "strategy", "background", "surround", "model", "exposure", "outliers", "withheld")
+KEPT = ("seed", "strategy", "background", "surround", "model", "exposure", "shading", "outliers", "withheld")
 """Settings that a run keeps from its first step to its last."""
 
 LOSS_SHARE = 0.01
@@ -121,6 +122,7 @@ class Trainer:
         self._unseen = 0.0
         """Photos that have shown no splat, until one does; then NaN, for edits may take it out of sight."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
+        self.shadings = Shadings([view.camera.name for view in views.all], on=settings.shading)
         self.passed: int | None = None
         """Splats of one photo alone that went as the run ended, see `free_space`; None: nobody has looked."""
         self.outliers = Outliers([view.camera.name for view in views.all], settings.outliers)
@@ -271,6 +273,8 @@ class Trainer:
         if self.exposures.is_on:
             with clock.stage("exposure"):
                 self.exposures.step(progress, settings.batch)
+        with clock.stage("shading"):
+            self.shadings.step(progress, self._rounds)
         with clock.stage("density"):
             self._clear_free_space(info)
             self.strategy.step_post_backward(
@@ -304,7 +308,7 @@ class Trainer:
         except BaseException:  # another process is gone, or the user's loss failed: nothing has been noted
             for total, old in zip(sums, before, strict=False):
                 total[:] = old
-            self.exposures.gradients[:] = 0
+            self.exposures.gradients[:] = self.shadings.gradients[:] = 0
             self._differences = []
             raise
 
@@ -325,8 +329,7 @@ class Trainer:
                 group.add_up(noted)
                 for total, old, new in zip(sums, before, noted, strict=True):
                     total[:] = old + new
-            if self.exposures.is_on:
-                group.add_up([self.exposures.gradients])
+            group.add_up([by.gradients for by in (self.exposures, self.shadings) if by.is_on])
             pieces, loss = batch.means(photos, group, self.threads)
         return Visibility(pieces, len(self.splats)), loss
 
@@ -361,12 +364,13 @@ class Trainer:
             by_view=self.strategy.by_view,
             threads=self.threads,
         )
-        exposure = None
+        if self.shadings.begins(progress) and is_photo:
+            with clock.stage("shading"):
+                image = self.shadings.shaded(image, view.camera.name, self.threads)
         if self.exposures.is_on and is_photo:
             with clock.stage("exposure"):
-                exposure = torch.from_numpy(self.exposures.of(view.camera.name)).requires_grad_()
                 cut_out = None if view.alpha is None else settings.background
-                image = expose(image, exposure, cut_out, self.threads)
+                image = self.exposures.exposed(image, view.camera.name, cut_out, self.threads)
         photo = torch.from_numpy(view.pixels)
         mask = None if view.mask is None else torch.from_numpy(view.mask)
         alpha = None if view.alpha is None else torch.from_numpy(view.alpha)
@@ -414,8 +418,6 @@ class Trainer:
             with clock.stage("resolution"):
                 shown = image.detach().numpy()
                 self._differences.append(mean_difference(shown, view.pixels, view.mask))
-        if exposure is not None and exposure.grad is not None:
-            self.exposures.add_gradient(view.camera.name, exposure.grad.numpy())
         for name, milliseconds in info.milliseconds.items():
             clock.milliseconds[name] = clock.milliseconds.get(name, 0.0) + milliseconds
         return info, loss.item()
@@ -495,10 +497,8 @@ class Trainer:
 
     def _decide_exposures(self, progress: float) -> None:
         if self.exposures.is_due(progress, self._rounds):
-            views = self.views.sized(self.downscale)
-            self.exposures.decide(
-                self.splats.arrays, views, self.render_settings, Workspace(), self.threads, self.places
-            )
+            scene = self.splats.arrays, self.views.sized(self.downscale), self.render_settings
+            self.exposures.decide(*scene, Workspace(), self.threads, self.places)
 
     def _check_seen(self, info: Visibility) -> None:
         """Raises NothingSeen where a round of photos has shown nothing."""

@@ -15,6 +15,7 @@ from splatview.trainer.functional import expose
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.loss import mean_ssim
 from splatview.trainer.settings import TrainSettings
+from splatview.trainer.shading import CELLS, shade
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
@@ -42,4 +43,5 @@ def warm_up(*, lens: bool = False, strategies: Iterable[str] = STRATEGIES) -> No
         limit_sizes(trainer.splats.arrays, one, camera, settings.max_size, trainer.threads)
     mean_ssim(np.zeros((16, 16, 3), np.float32), view.pixels, Workspace())
     picture, exposure = torch.zeros(1, 1, 4, requires_grad=True), torch.zeros(3, 2, dtype=torch.float64)
-    expose(picture, exposure.requires_grad_()).sum().backward()
+    shaded = shade(picture, torch.zeros(CELLS, CELLS, dtype=torch.float64, requires_grad=True))
+    expose(shaded, exposure.requires_grad_()).sum().backward()

@@ -1,0 +1,156 @@
+"""Shading of photos: a coarse map of gains for each, for light that falls on what it alone shows.
+
+Whoever takes photos stands in the light of some of them, clouds pass, and a camera's shutter or lens makes
+one side darker. What a photo shows darker than all others do, a scene cannot be: it is told by splats before
+that photo's camera, or by colours that depend on direction, and both are wrong from elsewhere. So the picture
+of the scene is multiplied by the exponential of a smooth map before it is compared with its photo. Maps are
+pulled to 0, as a scene that is right needs none, and their mean over photos and places is 0.
+
+Source: the idea is that of bilateral grids (Wang et al. 2024), by place alone and of one gain for all
+colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from torch.autograd.function import once_differentiable
+
+from splatview.raster.compiling import TASKS_PER_THREAD, available_threads, even_ranges, run
+from splatview.trainer.adam import PhotoAdam
+from splatview.trainer.backdrop import ENOUGH_PHOTOS
+from splatview.trainer.loss_kernels import shade_backward_rows, shade_rows
+
+CELLS = 6
+"""Nodes of a map along each side of its photo."""
+
+REACH, SETTLES = 1.0, 0.1
+"""Of log gains: by how much all looks at a photo of a scene's training could move its map at the rate of the
+start, and to what share of it the rate falls, exponentially. So maps of few looks move as far as those of
+many."""
+
+BEGINS = 0.05
+"""Share of a scene's training from which on maps are learnt: before, there is nothing to compare with."""
+
+PULL, SMOOTH = 1.0, 0.3
+"""Weights of half the mean square of a map, and of half the sum of squares of the differences of its
+neighbours over their number, beside the photo's loss."""
+
+
+def automatic_shading(everywhere: bool, shown: float) -> bool:
+    """Whether maps are learnt, by whether photos show something everywhere, before no plain colour, and how
+    many of them show a place, see `TrainViews.photos_of_a_place`."""
+    return everywhere and shown < ENOUGH_PHOTOS
+
+
+class Shadings:
+    """The maps of a run's photos. Nothing is computed where they are off."""
+
+    def __init__(self, names: Sequence[str], *, on: bool) -> None:
+        self.is_on = on
+        self.maps = np.zeros((len(names) if on else 0, CELLS, CELLS))
+        """(P, CELLS, CELLS): log gains of each photo at the nodes of its map, from its top left."""
+        self.gradients = np.zeros_like(self.maps)
+        """Of the photos' losses by the maps in this step, 0 for photos that are not part of it."""
+        self._adam = PhotoAdam(self.maps.shape)
+        self._rows = {name: row for row, name in enumerate(names)}
+
+    def begins(self, progress: float) -> bool:
+        """Whether maps are learnt at this share of a scene's training."""
+        return self.is_on and progress >= BEGINS
+
+    def shaded(self, image: torch.Tensor, name: str, threads: int | None = None) -> torch.Tensor:
+        """The picture (H, W, 4) as the photo of this name shows it; gradients through it by the photo's map
+        are added to `gradients`."""
+        row = self._rows[name]
+
+        def add(gradient: torch.Tensor) -> None:
+            self.gradients[row] += gradient.numpy()
+
+        log_gains = torch.from_numpy(self.maps[row]).requires_grad_()
+        log_gains.register_hook(add)
+        return shade(image, log_gains, threads)
+
+    def step(self, progress: float, rounds: float) -> None:
+        """One step of Adam for the photos that `gradients` names, at this share of a scene's training, in
+        which each photo was looked at so often."""
+        rows = np.flatnonzero((self.gradients != 0).any(axis=(1, 2)))
+        if not len(rows):
+            return
+        maps = self.maps[rows]
+        pulled = self.gradients[rows] + (PULL * maps + SMOOTH * laplacian(maps)) / CELLS**2
+        rate = REACH * SETTLES**progress * progress / rounds
+        self.maps[rows] += self._adam.moves(rows, pulled, rate)
+        # Brighter splats and lower gains look the same: the scene keeps the average light.
+        self.maps -= self.maps.mean()
+        self.gradients[:] = 0
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Arrays that `restore` takes; none where maps are off."""
+        return {"maps": self.maps, **self._adam.state()} if self.is_on else {}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on where another's `state` was taken, of the same photos; where it has none, as in files from
+        before there were maps, they are off. Raises KeyError, ValueError: it is damaged."""
+        self.is_on = bool(state)
+        if state:
+            self._adam.restore(state)
+            self.maps[:] = state["maps"]
+
+
+def laplacian(maps: np.ndarray) -> np.ndarray:
+    """(P, H, W): derivative of half the sum of squares of the differences of neighbours in each map."""
+    out = np.zeros_like(maps)
+    for axis in (1, 2):
+        differences = np.diff(maps, axis=axis)
+        none = np.zeros_like(np.take(maps, [0], axis=axis))
+        out += np.concatenate([none, differences], axis) - np.concatenate([differences, none], axis)
+    return out
+
+
+@lru_cache(maxsize=16)
+def weights(length: int) -> np.ndarray:
+    """(length, CELLS) float32: of the nodes of a map in the middles of so many pixels, linear in between."""
+    places = (np.arange(length) + 0.5) / length * (CELLS - 1)
+    nodes = [np.interp(places, np.arange(CELLS), node) for node in np.eye(CELLS)]
+    return np.stack(nodes, axis=1).astype(np.float32)
+
+
+def shade(image: torch.Tensor, log_gains: torch.Tensor, threads: int | None = None) -> torch.Tensor:
+    """The picture (H, W, 4) as a photo shows it whose map is log_gains (CELLS, CELLS); alpha as it is.
+
+    Between nodes gains are linear. Gradients are equal for any number of threads (None: all cores).
+    """
+    shaded = _Shade.apply(image, torch.exp(log_gains), threads)
+    assert isinstance(shaded, torch.Tensor)
+    return shaded
+
+
+class _Shade(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *args: Any) -> torch.Tensor:
+        image, gains, threads = args
+        shown = image.detach().numpy()
+        rows, columns = (weights(length).astype(shown.dtype) for length in shown.shape[:2])
+        ctx.gains = rows @ gains.detach().numpy().astype(shown.dtype) @ columns.T
+        ctx.threads = threads or available_threads()
+        ctx.tasks = even_ranges(len(shown), TASKS_PER_THREAD * ctx.threads)
+        shaded = np.empty_like(shown)
+        run(shade_rows, ctx.tasks, (shown, ctx.gains, shaded), ctx.threads)
+        ctx.save_for_backward(image)
+        return torch.from_numpy(shaded)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        (image,) = ctx.saved_tensors
+        shown, d_shaded = image.detach().numpy(), grad_outputs[0].contiguous().numpy()
+        d_image, by_gain = np.empty_like(shown), np.empty_like(ctx.gains)
+        run(shade_backward_rows, ctx.tasks, (shown, d_shaded, ctx.gains, d_image, by_gain), ctx.threads)
+        rows, columns = (weights(length) for length in by_gain.shape)
+        by_node = (rows.T.astype(by_gain.dtype) @ by_gain).astype(np.float64) @ columns
+        return torch.from_numpy(d_image), torch.from_numpy(by_node), None
