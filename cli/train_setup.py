@@ -33,7 +33,13 @@ from splatview.trainer.distributed import (
     local_processes,
     share_of_cores,
 )
-from splatview.trainer.effects import capture_effects, with_exposure, with_outliers, with_sky_found
+from splatview.trainer.effects import (
+    capture_effects,
+    with_exposure,
+    with_outliers,
+    with_shading,
+    with_sky_found,
+)
 from splatview.trainer.free_space import MOST_OF_ONE
 from splatview.trainer.memory import (
     Bound,
@@ -273,6 +279,7 @@ def _prepare(
         notes["plugin"] = {"name": loss.name, "sha256": loss.digest}
     covered = trainer.views.covered(trainer.settings.background)
     effects = capture_effects(capture, trainer.settings, antialiased, covered)
+    effects = with_shading(effects, trainer.shadings)
     effects = with_sky_found(effects, trainer.sky, int(np.count_nonzero(trainer.state.get("sky", 0))))
     if trainer.exposures.is_decided:
         effects = with_exposure(effects, trainer.exposures)
@@ -413,7 +420,7 @@ def _new_trainer(
         outliers=options.outliers or "auto",
         most_of_one=1.0 if options.passing == "stay" else MOST_OF_ONE,
         sky=options.sky or "auto",
-        **({} if options.shading in (None, "auto") else {"shading": options.shading == "on"}),
+        **({} if options.shading in (None, "auto") else {"shading": options.shading}),
         **({"ensemble": 1} if options.ensemble == "off" else {}),
         absolute_gradient=bool(options.abs_grad),
         threads=cores,

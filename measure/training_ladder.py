@@ -57,7 +57,7 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("strategy", classic={"strategy": "classic"}),
     *_rungs("splats", half={"splats": 0.5}, double={"splats": 2.0}),
     *_rungs("exposure", off={"exposure": "off"}, on={"exposure": "on"}),
-    *_rungs("shading", off={"shading": False}, on={"shading": True}),
+    *_rungs("shading", off={"shading": "off"}, on={"shading": "on"}),
     *_rungs("outliers", stay={"outliers": "off"}),
     *_rungs("opacity of photos", "transparent photos", not_taught={"alpha_weight": 0.0}),
     *_rungs(

@@ -29,6 +29,7 @@ from splatview.trainer.free_space import FEW_OF, LOOK_STEPS
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
 from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
 from splatview.trainer.settings import TrainSettings, automatic_regularisation
+from splatview.trainer.shading import Shadings
 from splatview.trainer.sky import Sky
 from splatview.trainer.strategies.mcmc import LEAST_REG
 from splatview.trainer.withheld import CHECK_ROUNDS, GIVEN_BACK, Withheld
@@ -45,6 +46,8 @@ POINTS = 2000
 EXPOSURE = "exposure of each photo"
 
 SHADING = "shading of each photo"
+
+MAPS = "a coarse map of gains for each photo, fitted and applied in each step"
 
 OUTLIERS = "photos left out"
 
@@ -151,6 +154,19 @@ def with_exposure(effects: tuple[Effect, ...], exposures: Exposures) -> tuple[Ef
     )
     return tuple(
         replace(effect, on=exposures.is_on, why=evidence + on) if effect.name == EXPOSURE else effect
+        for effect in effects
+    )
+
+
+def with_shading(effects: tuple[Effect, ...], shadings: Shadings) -> tuple[Effect, ...]:
+    """The same once it is decided whether photos are shaded."""
+    why = f"few photos show each place, and light that falls on one alone stays out of the scene: {MAPS}"
+    if not shadings.is_on:
+        why = "photos of the same places are equally bright"
+    return tuple(
+        replace(effect, on=shadings.is_on, why=why)
+        if effect.name == SHADING and shadings.mode == "auto"
+        else effect
         for effect in effects
     )
 
@@ -330,13 +346,13 @@ def _exposure(settings: TrainSettings) -> Effect:
 
 
 def _shading(settings: TrainSettings) -> Effect:
-    what = "a coarse map of gains for each photo, fitted and applied in each step"
-    why = (
-        "many photos show each place, or an object alone, or it is off as asked for"
-        if not settings.shading
-        else f"shadows and other light that falls on one photo alone: {what}; the scene has the average light"
-    )
-    return Effect(name=SHADING, on=settings.shading, why=why, saving=Saving(what=what))
+    why = {
+        "off": f"{ENOUGH_PHOTOS} and more photos show each place, or an object alone, or none is wanted",
+        "on": f"as asked for: {MAPS}",
+        "auto": "where photos differ in brightness",
+    }
+    on = settings.shading == "on"
+    return Effect(name=SHADING, on=on, why=why[settings.shading], saving=Saving(what=MAPS))
 
 
 def _masks(capture: Capture) -> Effect:

@@ -81,8 +81,8 @@ class LossStep:
 
     @cached_property
     def image(self) -> torch.Tensor:
-        """(H, W, 4) float32: what the scene shows, RGB and alpha, at the photo's exposure where exposures are
-        learnt. Not clipped."""
+        """(H, W, 4) float32: what the scene shows, RGB and alpha, at the photo's exposure and in its light
+        where these are learnt. Not clipped."""
         # A view of its own, so that what this loss makes of the gradient is told from what the photo does.
         image = self._image.view_as(self._image)
         image.register_hook(self._check("the picture"))

@@ -356,8 +356,8 @@ class TrainSettings(StrategySettings):
     """Weight of the opacity of transparent photos in the loss: of the mean |difference| to the scene's."""
     exposure: Literal["auto", "on", "off"] = "auto"
     """Whether each photo's exposure is learnt; auto: where photos differ, see `exposure`."""
-    shading: bool = False
-    """Whether a coarse map of gains is learnt for each photo, see `shading`."""
+    shading: Literal["auto", "on", "off"] = "off"
+    """Whether a coarse map of gains is learnt for each photo; auto: where photos differ, see `shading`."""
     outliers: Literal["auto", "off"] = "auto"
     """Whether photos that disagree with the others are left out, see `outliers`."""
     start: Literal["auto", "points", "stereo"] = "auto"

@@ -237,6 +237,7 @@ def trainer_for(
         trainer.nearest_depths = nearest_depths(points, views.all)
         # Where splats begin, so that what is decided does not go by how long the run is.
         trainer.exposures.measure(trainer.places, views.sized(trainer.downscale), settings.background)
+    trainer.shadings.decide(trainer.exposures.evidence)
     return trainer
 
 

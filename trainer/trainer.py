@@ -122,7 +122,7 @@ class Trainer:
         self._unseen = 0.0
         """Photos that have shown no splat, until one does; then NaN, for edits may take it out of sight."""
         self.exposures = Exposures([view.camera.name for view in views.all], settings.exposure)
-        self.shadings = Shadings([view.camera.name for view in views.all], on=settings.shading)
+        self.shadings = Shadings([view.camera.name for view in views.all], settings.shading)
         self.passed: int | None = None
         """Splats of one photo alone that went as the run ended, see `free_space`; None: nobody has looked."""
         self.outliers = Outliers([view.camera.name for view in views.all], settings.outliers)

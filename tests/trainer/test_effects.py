@@ -95,7 +95,7 @@ def test_each_effect_names_its_evidence():
     assert plain["lens distortion"] == (False, "all 4 cameras are pinholes")
     assert plain["background"] == (False, "0 of 4 photos have transparency; black is behind the scene")
     assert not plain[SURROUND][0] and "a background is asked for" in plain[SURROUND][1]
-    assert not plain["exposure of each photo"][0]
+    assert not plain["exposure of each photo"][0] and not plain["shading of each photo"][0]
     assert plain["SH bands"][1].startswith("band 1 from 3%, 2 from 7%, 3 from 10%")
     assert told(capture([2.0] * 4), sh_degree=0)["SH bands"][0] is False
     assert not plain[BLOCKS][0] and plain[BLOCKS][1] == "none was asked for"
@@ -110,7 +110,9 @@ def test_each_effect_names_its_evidence():
     assert is_on and why.startswith("from 0.3 times the distance on at which most splats begin")
 
     rich = told(
-        capture([2.0] * 4, masks=2, hidden=0.125, lenses=3, displacement=12.3, transparent=1), exposure="on"
+        capture([2.0] * 4, masks=2, hidden=0.125, lenses=3, displacement=12.3, transparent=1),
+        exposure="on",
+        shading="on",
     )
     assert {name for name, (on, _) in rich.items() if on} == set(rich) - {
         "antialiased opacity",

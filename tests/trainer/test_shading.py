@@ -11,14 +11,16 @@ import pytest
 import torch
 
 from splatview.scene import InputError
+from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.adam import PhotoAdam
 from splatview.trainer.backdrop import ENOUGH_PHOTOS
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
-from splatview.trainer.effects import SHADING, capture_effects
+from splatview.trainer.effects import SHADING, capture_effects, with_shading
 from splatview.trainer.evaluate import evaluate
+from splatview.trainer.exposure import Evidence
 from splatview.trainer.functional import photo_loss
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.shading import CELLS, Shadings, laplacian, shade, weights
+from splatview.trainer.shading import CELLS, Mode, Shadings, laplacian, shade, weights
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 
@@ -54,7 +56,7 @@ def test_shadows_of_single_photos_stay_out_of_the_scene(views, start) -> None:
     photos = shadowed(views)
     scores = {}
     for on in (True, False):
-        trainer = trained(photos, start, shading=on)
+        trainer = trained(photos, start, shading="on" if on else "off")
         # Held-out photos as they are without shadows, at the brightness that fits.
         held_out = views[::5]
         scores[on] = evaluate(
@@ -64,7 +66,7 @@ def test_shadows_of_single_photos_stay_out_of_the_scene(views, start) -> None:
 
 
 def test_maps_are_those_of_the_shadows(views, start) -> None:
-    trainer = trained(shadowed(views), start, shading=True)
+    trainer = trained(shadowed(views), start, shading="on")
     maps = trainer.shadings.maps
     assert abs(maps.mean()) < 1e-12
     nodes = np.linspace(-0.5, 0.5, CELLS)
@@ -108,7 +110,7 @@ def test_laplacian_is_the_derivative_of_squared_differences() -> None:
 
 
 def test_maps_that_nothing_calls_for_go_back_to_zero() -> None:
-    shadings = Shadings(["a", "b"], on=True)
+    shadings = Shadings(["a", "b"], "on")
     shadings.maps[0], shadings.maps[1] = 0.1, -0.1
     for _ in range(400):
         for row in range(2):
@@ -131,7 +133,7 @@ def test_rows_are_moved_as_torch_moves_them() -> None:
 
 
 def test_a_run_with_shading_resumes_bit_for_bit(views, start, tmp_path: Path) -> None:
-    photos, settings = shadowed(views), TrainSettings(iterations=90, max_splats=150, shading=True)
+    photos, settings = shadowed(views), TrainSettings(iterations=90, max_splats=150, shading="on")
 
     def another() -> Trainer:
         return Trainer(TrainViews(photos[1:], 0), start, EXTENT, settings, threads=2)
@@ -153,7 +155,7 @@ def test_a_run_with_shading_resumes_bit_for_bit(views, start, tmp_path: Path) ->
 
 
 def test_damaged_maps_are_refused(views, start, tmp_path: Path) -> None:
-    settings = TrainSettings(iterations=9, max_splats=150, shading=True)
+    settings = TrainSettings(iterations=9, max_splats=150, shading="on")
     trainer = Trainer(TrainViews(views, 0), start, EXTENT, settings, threads=2)
     trainer.step()
     save_checkpoint(trainer, tmp_path / "run.safetensors")
@@ -169,20 +171,42 @@ def test_where_few_photos_show_each_place_maps_are_learnt() -> None:
     capture = capture_of(indoors)
     many = replace(capture, photos=tuple(p for p in capture.photos for _ in range(ENOUGH_PHOTOS)))
     empty = capture_of(indoors, alpha=True)
-    for found, asked, on in (
-        (capture, {}, True),
-        (capture, {"background": (0.0, 0.0, 0.0)}, True),
-        (capture, {"shading": False}, False),
-        (many, {}, False),
-        (many, {"shading": True}, True),
-        (empty, {}, False),
+    for found, asked, mode in (
+        (capture, {}, "auto"),
+        (capture, {"background": (0.0, 0.0, 0.0)}, "auto"),
+        (capture, {"shading": "off"}, "off"),
+        (many, {}, "off"),
+        (many, {"shading": "on"}, "on"),
+        (empty, {}, "off"),
     ):
         trainer = trainer_of(found, **asked)
-        assert trainer.settings.shading is trainer.shadings.is_on is on
-        effect = next(e for e in capture_effects(found, trainer.settings, "auto") if e.name == SHADING)
-        assert effect.on is on and ("coarse map" in effect.why) is on
+        assert trainer.settings.shading == trainer.shadings.mode == mode
+        if mode != "auto":
+            assert trainer.shadings.is_on is (mode == "on")
+        effects = with_shading(capture_effects(found, trainer.settings, "auto"), trainer.shadings)
+        effect = next(e for e in effects if e.name == SHADING)
+        assert effect.on is trainer.shadings.is_on and ("coarse map" in effect.why) is effect.on
+
+
+@pytest.mark.parametrize(
+    ("evidence", "on"),
+    [
+        (None, True),
+        (Evidence(0.03, 0.01), True),
+        (Evidence(0.009, 0.004), False),
+        (Evidence(np.nan, 0), True),
+    ],
+)
+def test_photos_of_one_light_have_no_maps(evidence: Evidence | None, on: bool) -> None:
+    modes: dict[Mode, bool] = {"auto": on, "on": True, "off": False}
+    for mode, expected in modes.items():
+        shadings = Shadings(["a"], mode)
+        shadings.decide(evidence)
+        assert shadings.is_on is expected
+        effect = with_shading((Effect(name=SHADING, on=False, why="", saving=Saving()),), shadings)[0]
+        assert ("equally bright" in effect.why) is (mode == "auto" and not on)
 
 
 def test_it_cannot_be_changed_in_a_run() -> None:
     with pytest.raises(ValueError, match="shading cannot be changed in a run"):
-        trainer_of(capture_of(indoors)).change(shading=False)
+        trainer_of(capture_of(indoors)).change(shading="off")
