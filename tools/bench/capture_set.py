@@ -330,7 +330,7 @@ PARTS = {
     "miku 8 far": Part("judge", "miku", 8),
     "miku 8 near": Part("judge", "miku", 8, "near"),
     "miku 12 far": Part("choose", "miku", 12),
-    "miku 12 near": Part("judge", "miku", 12, "near"),
+    "miku 12 near": Part("choose", "miku", 12, "near"),
     "miku 20 far": Part("judge", "miku", 20),
     "miku 20 near": Part("choose", "miku", 20, "near"),
     "miku 24 far": Part("judge", "miku", 24),
