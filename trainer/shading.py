@@ -38,6 +38,9 @@ REACH, SETTLES = 1.0, 0.1
 start, and to what share of it the rate falls, exponentially. So maps of few looks move as far as those of
 many."""
 
+FEWEST_LOOKS = 20
+"""At each photo, of which maps move as far as that; those of runs with fewer move less."""
+
 BEGINS = 0.05
 """Share of a scene's training from which on maps are learnt: before, there is nothing to compare with."""
 
@@ -104,7 +107,7 @@ class Shadings:
             return
         maps = self.maps[rows]
         pulled = self.gradients[rows] + (PULL * maps + SMOOTH * laplacian(maps)) / CELLS**2
-        rate = REACH * SETTLES**progress * progress / rounds
+        rate = SETTLES**progress * REACH / max(rounds / progress, FEWEST_LOOKS)
         self.maps[rows] += self._adam.moves(rows, pulled, rate)
         # Brighter splats and lower gains look the same: the scene keeps the average light.
         self.maps -= self.maps.mean()

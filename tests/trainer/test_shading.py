@@ -119,6 +119,14 @@ def test_maps_that_nothing_calls_for_go_back_to_zero() -> None:
     assert np.abs(shadings.maps).max() < 0.01
 
 
+def test_maps_of_runs_with_few_looks_hardly_move(views, start) -> None:
+    settings = TrainSettings(iterations=4, max_splats=150, shading="on")
+    trainer = Trainer(TrainViews(shadowed(views), 0), start, EXTENT, settings, threads=2)
+    while not trainer.done:
+        trainer.step()
+    assert 0 < np.abs(trainer.shadings.maps).max() < 0.06
+
+
 def test_rows_are_moved_as_torch_moves_them() -> None:
     ours, theirs = np.zeros((3, 4)), torch.zeros(4, dtype=torch.float64, requires_grad=True)
     adam, reference = PhotoAdam((3, 4)), torch.optim.Adam([theirs], lr=0.01, eps=1e-15)
