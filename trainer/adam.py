@@ -1,5 +1,4 @@
-"""Adam as an optimiser of torch whose step is one kernel over the splats that a picture has seen; and Adam
-for what is learnt of each photo."""
+"""Adam as an optimiser of torch whose step is one kernel over the splats that a picture has seen."""
 
 from __future__ import annotations
 
@@ -18,9 +17,6 @@ from splatview.trainer.splats import Splats
 
 FAST_SCALES = {"log_scales_rate": 8e-2, "log_scales_rate_end": 5e-4}
 """Of the strategy mcmc, see "How fast scales change" in docs/training.md; the classic has the paper's."""
-
-TINY = 1e-15
-"""Keeps a first step of `PhotoAdam` along a gradient of 0 at 0."""
 
 
 def automatic_scale_rates(photos: int, everywhere: bool, strategy: str) -> dict[str, float]:
@@ -210,32 +206,3 @@ def _gradient(parameter: torch.Tensor) -> np.ndarray:
     if parameter.grad is None:
         return np.zeros(parameter.numel(), np.float32)
     return parameter.grad.contiguous().view(-1).numpy()
-
-
-class PhotoAdam:
-    """Adam's averages for an array of shape (P, ...), a row for each photo, bias corrected by how often each
-    was looked at (Kingma and Ba 2015)."""
-
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.first, self.second = np.zeros(shape), np.zeros(shape)
-        self.visits = np.zeros(shape[0], np.int64)
-
-    def moves(self, rows: np.ndarray, gradients: np.ndarray, rate: float) -> np.ndarray:
-        """What to add to these rows (K,), by their gradients (K, ...)."""
-        self.visits[rows] += 1
-        visits = self.visits[rows].reshape(-1, *[1] * (gradients.ndim - 1))
-        m = self.first[rows] = BETA1 * self.first[rows] + (1 - BETA1) * gradients
-        v = self.second[rows] = BETA2 * self.second[rows] + (1 - BETA2) * gradients * gradients
-        m, v = m / (1 - BETA1**visits), v / (1 - BETA2**visits)
-        return -rate * m / (np.sqrt(v) + TINY)
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Arrays that `restore` takes."""
-        return {"first": self.first, "second": self.second, "visits": self.visits}
-
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on where another's `state` was taken. Raises KeyError, ValueError: its shape is another."""
-        for name, ours in self.state().items():
-            if state[name].shape != ours.shape:
-                raise ValueError(f"{name} has the shape {state[name].shape}, not {ours.shape}")
-            ours[:] = state[name]

@@ -264,3 +264,36 @@ def move(indices, values, gradients, first, second, sh_numbers, factors, epsilon
             move_vector(sh, d_sh, sh1, sh2, at + k, load(colour_rates, k), epsilon)
         for k in range(at + whole, at + sh_numbers):
             sh[k] = moved(sh[k], d_sh[k], sh1, sh2, k, colour_rates[k - at], epsilon)
+
+
+TINY = 1e-15
+"""Keeps a first step of `PhotoAdam` along a gradient of 0 at 0."""
+
+
+class PhotoAdam:
+    """Adam's averages for an array of shape (P, ...), a row for each photo, bias corrected by how often each
+    was looked at (Kingma and Ba 2015)."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.first, self.second = np.zeros(shape), np.zeros(shape)
+        self.visits = np.zeros(shape[0], np.int64)
+
+    def moves(self, rows: np.ndarray, gradients: np.ndarray, rate: float) -> np.ndarray:
+        """What to add to these rows (K,), by their gradients (K, ...)."""
+        self.visits[rows] += 1
+        visits = self.visits[rows].reshape(-1, *[1] * (gradients.ndim - 1))
+        m = self.first[rows] = BETA1 * self.first[rows] + (1 - BETA1) * gradients
+        v = self.second[rows] = BETA2 * self.second[rows] + (1 - BETA2) * gradients * gradients
+        m, v = m / (1 - BETA1**visits), v / (1 - BETA2**visits)
+        return -rate * m / (np.sqrt(v) + TINY)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Arrays that `restore` takes."""
+        return {"first": self.first, "second": self.second, "visits": self.visits}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on where another's `state` was taken. Raises KeyError, ValueError: its shape is another."""
+        for name, ours in self.state().items():
+            if state[name].shape != ours.shape:
+                raise ValueError(f"{name} has the shape {state[name].shape}, not {ours.shape}")
+            ours[:] = state[name]

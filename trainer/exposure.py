@@ -58,13 +58,11 @@ from itertools import combinations
 from typing import Literal, NamedTuple
 
 import numpy as np
-import torch
 from PIL import Image, ImageFilter
 
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
-from splatview.trainer.adam import PhotoAdam
-from splatview.trainer.functional import expose
+from splatview.trainer.adam_kernels import PhotoAdam
 from splatview.trainer.views import TrainView, opacities
 
 Mode = Literal["auto", "on", "off"]
@@ -208,23 +206,9 @@ class Exposures:
         """(3, 2): log gain and offset of a photo's colours, see `functional.expose`."""
         return self.table[self._rows[name]]
 
-    def exposed(
-        self,
-        image: torch.Tensor,
-        name: str,
-        background: tuple[float, float, float] | None = None,
-        threads: int | None = None,
-    ) -> torch.Tensor:
-        """The picture (H, W, 4) at the exposure of the photo of this name, see `functional.expose`; gradients
-        through it by that are added to `gradients`."""
-        row = self._rows[name]
-
-        def add(gradient: torch.Tensor) -> None:
-            self.gradients[row] += gradient.numpy()
-
-        exposure = torch.from_numpy(self.table[row]).requires_grad_()
-        exposure.register_hook(add)
-        return expose(image, exposure, background, threads)
+    def row(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """A photo's rows (3, 2) of `table` and `gradients`, not copies."""
+        return self.table[self._rows[name]], self.gradients[self._rows[name]]
 
     def step(self, progress: float, batch: int) -> None:
         """One step of Adam for the photos that `gradients`, sums over a batch of so many, name."""

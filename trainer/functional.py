@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from splatview.scene import Camera, RenderSettings
 from splatview.scene.sh import SH_C0
 from splatview.trainer.loss import SSIM_WEIGHT
 from splatview.trainer.loss import photo_loss as compare
-from splatview.trainer.loss_kernels import expose_backward_rows, expose_rows
+from splatview.trainer.loss_kernels import expose_backward_rows, expose_rows, shade_backward_rows, shade_rows
 
 GRADIENT_EARLY_STOP = 1e-7
 """The light below which a pixel ends, in float32. Where gradients nearly cancel, what they leave out at
@@ -470,6 +471,65 @@ class _Expose(torch.autograd.Function):
         d_image, sums = np.empty_like(shown), np.empty((len(shown), 3, 2))
         run(expose_backward_rows, ctx.tasks, (shown, d_exposed, *ctx.model, d_image, sums), ctx.threads)
         return torch.from_numpy(d_image), torch.from_numpy(sums.sum(axis=0)), None, None
+
+
+@lru_cache(maxsize=16)
+def weights(length: int, nodes: int) -> np.ndarray:
+    """(length, nodes) float32: of the nodes of a map in the middles of so many pixels, linear in between."""
+    places = (np.arange(length) + 0.5) / length * (nodes - 1)
+    rows = [np.interp(places, np.arange(nodes), node) for node in np.eye(nodes)]
+    return np.stack(rows, axis=1).astype(np.float32)
+
+
+def shade(image: torch.Tensor, log_gains: torch.Tensor, threads: int | None = None) -> torch.Tensor:
+    """The picture (H, W, 4) as a photo shows it whose map is log_gains (N, M); alpha as it is.
+
+    Nodes are N down and M across, see `shading`, those at the ends at the photo's borders.
+
+    Between nodes gains are linear. Gradients are equal for any number of threads (None: all cores).
+    """
+    shaded = _Shade.apply(image, torch.exp(log_gains), threads)
+    assert isinstance(shaded, torch.Tensor)
+    return shaded
+
+
+class _Shade(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *args: Any) -> torch.Tensor:
+        image, gains, threads = args
+        shown = image.detach().numpy()
+        sizes = zip(shown.shape[:2], gains.shape, strict=True)
+        rows, columns = (weights(length, nodes).astype(shown.dtype) for length, nodes in sizes)
+        ctx.weights = rows, columns
+        ctx.gains = rows @ gains.detach().numpy().astype(shown.dtype) @ columns.T
+        ctx.threads = threads or available_threads()
+        ctx.tasks = even_ranges(len(shown), TASKS_PER_THREAD * ctx.threads)
+        shaded = np.empty_like(shown)
+        run(shade_rows, ctx.tasks, (shown, ctx.gains, shaded), ctx.threads)
+        ctx.save_for_backward(image)
+        return torch.from_numpy(shaded)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        (image,) = ctx.saved_tensors
+        shown, d_shaded = image.detach().numpy(), grad_outputs[0].contiguous().numpy()
+        d_image, by_gain = np.empty_like(shown), np.empty_like(ctx.gains)
+        run(shade_backward_rows, ctx.tasks, (shown, d_shaded, ctx.gains, d_image, by_gain), ctx.threads)
+        rows, columns = ctx.weights
+        by_node = (rows.T @ by_gain).astype(np.float64) @ columns
+        return torch.from_numpy(d_image), torch.from_numpy(by_node), None
+
+
+def followed(values: np.ndarray, gradients: np.ndarray) -> torch.Tensor:
+    """Values as a tensor in their memory, whose gradients are added to `gradients`, of their shape."""
+
+    def add(gradient: torch.Tensor) -> None:
+        gradients[...] += gradient.numpy()
+
+    tensor = torch.from_numpy(values).requires_grad_()
+    tensor.register_hook(add)
+    return tensor
 
 
 GONE = -30.0

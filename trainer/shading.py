@@ -17,18 +17,13 @@ colours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-import torch
-from torch.autograd.function import once_differentiable
 
-from splatview.raster.compiling import TASKS_PER_THREAD, available_threads, even_ranges, run
-from splatview.trainer.adam import PhotoAdam
+from splatview.trainer.adam_kernels import PhotoAdam
 from splatview.trainer.backdrop import ENOUGH_PHOTOS
 from splatview.trainer.exposure import Evidence
-from splatview.trainer.loss_kernels import shade_backward_rows, shade_rows
 
 CELLS = 6
 """Nodes of a map along each side of its photo."""
@@ -87,17 +82,9 @@ class Shadings:
         """Whether maps are learnt at this share of a scene's training."""
         return self.is_on and progress >= BEGINS
 
-    def shaded(self, image: torch.Tensor, name: str, threads: int | None = None) -> torch.Tensor:
-        """The picture (H, W, 4) as the photo of this name shows it; gradients through it by the photo's map
-        are added to `gradients`."""
-        row = self._rows[name]
-
-        def add(gradient: torch.Tensor) -> None:
-            self.gradients[row] += gradient.numpy()
-
-        log_gains = torch.from_numpy(self.maps[row]).requires_grad_()
-        log_gains.register_hook(add)
-        return shade(image, log_gains, threads)
+    def row(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """A photo's rows (CELLS, CELLS) of `maps` and `gradients`, not copies."""
+        return self.maps[self._rows[name]], self.gradients[self._rows[name]]
 
     def step(self, progress: float, rounds: float) -> None:
         """One step of Adam for the photos that `gradients` names, at this share of a scene's training, in
@@ -134,47 +121,3 @@ def laplacian(maps: np.ndarray) -> np.ndarray:
         none = np.zeros_like(np.take(maps, [0], axis=axis))
         out += np.concatenate([none, differences], axis) - np.concatenate([differences, none], axis)
     return out
-
-
-@lru_cache(maxsize=16)
-def weights(length: int) -> np.ndarray:
-    """(length, CELLS) float32: of the nodes of a map in the middles of so many pixels, linear in between."""
-    places = (np.arange(length) + 0.5) / length * (CELLS - 1)
-    nodes = [np.interp(places, np.arange(CELLS), node) for node in np.eye(CELLS)]
-    return np.stack(nodes, axis=1).astype(np.float32)
-
-
-def shade(image: torch.Tensor, log_gains: torch.Tensor, threads: int | None = None) -> torch.Tensor:
-    """The picture (H, W, 4) as a photo shows it whose map is log_gains (CELLS, CELLS); alpha as it is.
-
-    Between nodes gains are linear. Gradients are equal for any number of threads (None: all cores).
-    """
-    shaded = _Shade.apply(image, torch.exp(log_gains), threads)
-    assert isinstance(shaded, torch.Tensor)
-    return shaded
-
-
-class _Shade(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, *args: Any) -> torch.Tensor:
-        image, gains, threads = args
-        shown = image.detach().numpy()
-        rows, columns = (weights(length).astype(shown.dtype) for length in shown.shape[:2])
-        ctx.gains = rows @ gains.detach().numpy().astype(shown.dtype) @ columns.T
-        ctx.threads = threads or available_threads()
-        ctx.tasks = even_ranges(len(shown), TASKS_PER_THREAD * ctx.threads)
-        shaded = np.empty_like(shown)
-        run(shade_rows, ctx.tasks, (shown, ctx.gains, shaded), ctx.threads)
-        ctx.save_for_backward(image)
-        return torch.from_numpy(shaded)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
-        (image,) = ctx.saved_tensors
-        shown, d_shaded = image.detach().numpy(), grad_outputs[0].contiguous().numpy()
-        d_image, by_gain = np.empty_like(shown), np.empty_like(ctx.gains)
-        run(shade_backward_rows, ctx.tasks, (shown, d_shaded, ctx.gains, d_image, by_gain), ctx.threads)
-        rows, columns = (weights(length) for length in by_gain.shape)
-        by_node = (rows.T.astype(by_gain.dtype) @ by_gain).astype(np.float64) @ columns
-        return torch.from_numpy(d_image), torch.from_numpy(by_node), None

@@ -30,7 +30,7 @@ from splatview.trainer.free_space import (
     shown_by_few,
     worth_keeping,
 )
-from splatview.trainer.functional import Visibility, dropout, photo_loss, rasterize
+from splatview.trainer.functional import Visibility, dropout, expose, followed, photo_loss, rasterize, shade
 from splatview.trainer.initialisation import comments_for
 from splatview.trainer.outliers import Outliers
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
@@ -366,11 +366,11 @@ class Trainer:
         )
         if self.shadings.begins(progress) and is_photo:
             with clock.stage("shading"):
-                image = self.shadings.shaded(image, view.camera.name, self.threads)
+                image = shade(image, followed(*self.shadings.row(view.camera.name)), self.threads)
         if self.exposures.is_on and is_photo:
             with clock.stage("exposure"):
                 cut_out = None if view.alpha is None else settings.background
-                image = self.exposures.exposed(image, view.camera.name, cut_out, self.threads)
+                image = expose(image, followed(*self.exposures.row(view.camera.name)), cut_out, self.threads)
         photo = torch.from_numpy(view.pixels)
         mask = None if view.mask is None else torch.from_numpy(view.mask)
         alpha = None if view.alpha is None else torch.from_numpy(view.alpha)

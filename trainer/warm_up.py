@@ -11,11 +11,11 @@ import torch
 from splatview.raster import Workspace
 from splatview.scene import Lens, look_at
 from splatview.trainer.free_space import limit_sizes
-from splatview.trainer.functional import expose
+from splatview.trainer.functional import expose, shade
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.loss import mean_ssim
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.shading import CELLS, shade
+from splatview.trainer.shading import CELLS
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews

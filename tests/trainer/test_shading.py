@@ -12,15 +12,15 @@ import torch
 
 from splatview.scene import InputError
 from splatview.scene.effects.effect import Effect, Saving
-from splatview.trainer.adam import PhotoAdam
+from splatview.trainer.adam_kernels import PhotoAdam
 from splatview.trainer.backdrop import ENOUGH_PHOTOS
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import SHADING, capture_effects, with_shading
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.exposure import Evidence
-from splatview.trainer.functional import photo_loss
+from splatview.trainer.functional import photo_loss, shade, weights
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.shading import CELLS, Mode, Shadings, laplacian, shade, weights
+from splatview.trainer.shading import CELLS, Mode, Shadings, laplacian
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 
@@ -96,8 +96,8 @@ def test_gains_are_linear_between_nodes_and_alpha_stays() -> None:
     torch.testing.assert_close(dark[..., :3], 0.5 * image[..., :3], rtol=1e-6, atol=0)
     torch.testing.assert_close(dark[..., 3], image[..., 3])
     for length in (2, 6, 31):
-        np.testing.assert_allclose(weights(length).sum(axis=1), 1, rtol=1e-6)
-    np.testing.assert_allclose(weights(60) @ np.arange(CELLS), (np.arange(60) + 0.5) / 12, rtol=1e-5)
+        np.testing.assert_allclose(weights(length, CELLS).sum(axis=1), 1, rtol=1e-6)
+    np.testing.assert_allclose(weights(60, CELLS) @ np.arange(CELLS), (np.arange(60) + 0.5) / 12, rtol=1e-5)
 
 
 def test_laplacian_is_the_derivative_of_squared_differences() -> None:
