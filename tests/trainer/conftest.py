@@ -13,6 +13,7 @@ from PIL import Image
 from splatview.raster import Parameters, render
 from splatview.scene import Camera, Gaussians, RenderSettings, look_at
 from splatview.scene.captures.capture import Capture, Photo, Pixels
+from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.trainer import Trainer
@@ -36,6 +37,23 @@ def capture_of(
         for row, view in enumerate(views)
     )
     return Capture(name="photos", photos=photos, points=points, point_colours=colours, guessed=guessed)
+
+
+def whole_and_resumed(another: Callable[[], Trainer], path: Path) -> tuple[Trainer, Trainer]:
+    """A run of 90 steps, and an equal one that was saved after 40 and resumed, whose splats are the same."""
+    whole, part = another(), another()
+    for _ in range(40):
+        whole.step()
+        part.step()
+    save_checkpoint(part, path)
+    resumed = another()
+    restore(resumed, load_checkpoint(path))
+    for _ in range(50):
+        whole.step()
+        resumed.step()
+    for ours, theirs in zip(whole.splats.arrays, resumed.splats.arrays, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    return whole, resumed
 
 
 @pytest.fixture(scope="session")

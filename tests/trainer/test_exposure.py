@@ -27,7 +27,7 @@ from splatview.trainer.setup import settings_for, trainer_for
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews
 
-from .conftest import EXTENT, capture_of
+from .conftest import EXTENT, capture_of, whole_and_resumed
 
 make_settings: Any = TrainSettings
 
@@ -295,17 +295,6 @@ def test_a_run_with_exposures_resumes_bit_for_bit(views, start, tmp_path: Path) 
     def another() -> Trainer:
         return Trainer(TrainViews(photos[1:], 0), start, EXTENT, settings, threads=2)
 
-    whole, part = another(), another()
-    for _ in range(40):
-        whole.step()
-        part.step()
-    save_checkpoint(part, tmp_path / "run.safetensors")
-    resumed = another()
-    restore(resumed, load_checkpoint(tmp_path / "run.safetensors"))
+    whole, resumed = whole_and_resumed(another, tmp_path / "run.safetensors")
     assert resumed.exposures.is_on
-    for _ in range(50):
-        whole.step()
-        resumed.step()
     np.testing.assert_array_equal(whole.exposures.table, resumed.exposures.table)
-    for ours, theirs in zip(whole.splats.arrays, resumed.splats.arrays, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
