@@ -247,6 +247,7 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     ctx.combo_click(f"##Size of the photos/As time allows: {width} x {height} px")
     found["size"] += [state.form.downscale]
     ctx.combo_click("##Exposure/Not corrected")
+    ctx.combo_click("##Shading/Corrected for each photo")
     ctx.combo_click("##Outliers/Trained on")
     ctx.combo_click("##Passing by/Stays")
     ctx.combo_click("##Sky/Always added")
@@ -256,7 +257,8 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
         hand.frames(3)
         found["backgrounds"].append(state.form.background)
     form = state.form
-    found["chosen"] = [form.exposure, form.outliers, form.passing, form.sky, form.background]
+    chosen = [form.exposure, form.shading, form.outliers, form.passing, form.sky, form.background]
+    found["chosen"] = chosen
     shoot(hand, "train_form")
     ctx.item_click("//Train on photos/Start training")
     hand.frames(3)
@@ -272,8 +274,8 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["bound"], found["peak"] = training.memory.bound.bytes, training.memory.peak
     found["told"] = any("memory: about" in message.text for message in app.messages)
     settings = training.status.settings
-    corrections = [settings.exposure, settings.outliers, settings.most_of_one, settings.sky]
-    found["trained"] = [*corrections, settings.background]
+    corrections = [settings.exposure, settings.shading, settings.outliers]
+    found["trained"] = [*corrections, settings.most_of_one, settings.sky, settings.background]
 
 
 def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:

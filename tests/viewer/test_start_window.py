@@ -73,9 +73,9 @@ def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):
     assert by_itself is None and again is None and halved == 2
     assert half == [side // 2 for side in whole]
     assert found["bound"] == 2 * 10**9 > found["peak"] and found["told"]
-    assert found["chosen"] == ["off", "off", "stay", "on", "white"]
+    assert found["chosen"] == ["off", "on", "off", "stay", "on", "white"]
     assert found["backgrounds"] == ["black", "auto", "white"]
-    assert found["trained"] == ["off", "off", 1, "on", [1, 1, 1]]
+    assert found["trained"] == ["off", "on", "off", 1, "on", [1, 1, 1]]
     assert len(load_scene(output)), "saved when the window closed"
 
 

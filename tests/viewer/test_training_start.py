@@ -55,10 +55,10 @@ def test_the_form_asks_for_corrections(app, capture):
     start.choose(capture)
     assert looked(app).found is not None
     start.form.exposure, start.form.sky, start.form.background = "on", "off", "white"
-    start.form.outliers, start.form.passing = "off", "stay"
+    start.form.outliers, start.form.passing, start.form.shading = "off", "stay", "off"
     asked = " ".join(start.arguments())
     assert "--outliers off --passing stay" in asked
-    assert "--exposure on" in asked and "--sky off" in asked and "--background 1,1,1" in asked
+    assert "--exposure on --shading off" in asked and "--sky off" in asked and "--background 1,1,1" in asked
 
 
 def test_a_folder_without_a_capture_above_it_is_told_of(app, tmp_path):

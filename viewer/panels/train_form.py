@@ -233,6 +233,16 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     )
     if exposure is not None:
         form.exposure = exposure
+    shading = widgets.combo(
+        "Shading",
+        form.shading,
+        WHETHER,
+        "Learns a coarse map of gains for each photo, for shadows and other light that falls on it alone, so"
+        " that the scene does not have to explain them.",
+        ("Corrected where photos are few", "Corrected for each photo", "Not corrected"),
+    )
+    if shading is not None:
+        form.shading = shading
     outliers = widgets.combo(
         "Outliers",
         form.outliers,

@@ -166,7 +166,8 @@ class TrainingForm:
     memory: str = AUTOMATIC
     """One of MEMORIES."""
     exposure: str = WHETHER[0]
-    """One of WHETHER, as `sky` is."""
+    """One of WHETHER, as `shading` and `sky` are."""
+    shading: str = WHETHER[0]
     outliers: str = OUTLIERS[0]
     """One of OUTLIERS."""
     passing: str = PASSING[0]
@@ -240,7 +241,7 @@ class TrainingStart(Feature):
             *("-o", os.path.abspath(self.form.output)),
             *LENGTHS[self.form.length],
             *("--downscale", str(self.form.downscale or "auto")),
-            *("--exposure", self.form.exposure, "--sky", self.form.sky),
+            *("--exposure", self.form.exposure, "--shading", self.form.shading, "--sky", self.form.sky),
             *("--outliers", self.form.outliers, "--passing", self.form.passing),
             *("--background", BACKGROUNDS[self.form.background]),
             *(() if self.form.memory == AUTOMATIC else ("--memory", self.form.memory)),
