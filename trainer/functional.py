@@ -481,6 +481,13 @@ def weights(length: int, nodes: int) -> np.ndarray:
     return np.stack(rows, axis=1).astype(np.float32)
 
 
+@lru_cache(maxsize=16)
+def left_nodes(length: int, nodes: int) -> np.ndarray:
+    """(length,) int64: the first of the two nodes that `weights` has for a pixel."""
+    places = (np.arange(length) + 0.5) / length * (nodes - 1)
+    return np.minimum(places.astype(np.int64), nodes - 2)
+
+
 def shade(image: torch.Tensor, log_gains: torch.Tensor, threads: int | None = None) -> torch.Tensor:
     """The picture (H, W, 4) as a photo shows it whose map is log_gains (N, M); alpha as it is.
 
@@ -499,13 +506,15 @@ class _Shade(torch.autograd.Function):
         image, gains, threads = args
         shown = image.detach().numpy()
         sizes = zip(shown.shape[:2], gains.shape, strict=True)
-        rows, columns = (weights(length, nodes).astype(shown.dtype) for length, nodes in sizes)
-        ctx.weights = rows, columns
-        ctx.gains = rows @ gains.detach().numpy().astype(shown.dtype) @ columns.T
+        ctx.rows, columns = (weights(length, nodes).astype(shown.dtype) for length, nodes in sizes)
+        # What is as large as the picture is left to kernels: the threads of a product by BLAS wait in loops
+        # on the cores that the next kernels need, and steps took up to 1.8 times as long (shading_cost.json).
+        gains_of_rows = ctx.rows @ gains.detach().numpy().astype(shown.dtype)
+        ctx.gains = gains_of_rows, columns, left_nodes(shown.shape[1], gains.shape[1])
         ctx.threads = threads or available_threads()
         ctx.tasks = even_ranges(len(shown), TASKS_PER_THREAD * ctx.threads)
         shaded = np.empty_like(shown)
-        run(shade_rows, ctx.tasks, (shown, ctx.gains, shaded), ctx.threads)
+        run(shade_rows, ctx.tasks, (shown, *ctx.gains, shaded), ctx.threads)
         ctx.save_for_backward(image)
         return torch.from_numpy(shaded)
 
@@ -514,10 +523,9 @@ class _Shade(torch.autograd.Function):
     def backward(ctx: Any, *grad_outputs: Any) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         (image,) = ctx.saved_tensors
         shown, d_shaded = image.detach().numpy(), grad_outputs[0].contiguous().numpy()
-        d_image, by_gain = np.empty_like(shown), np.empty_like(ctx.gains)
-        run(shade_backward_rows, ctx.tasks, (shown, d_shaded, ctx.gains, d_image, by_gain), ctx.threads)
-        rows, columns = ctx.weights
-        by_node = (rows.T @ by_gain).astype(np.float64) @ columns
+        d_image, by_gain = np.empty_like(shown), np.empty_like(ctx.gains[0])
+        run(shade_backward_rows, ctx.tasks, (shown, d_shaded, *ctx.gains, d_image, by_gain), ctx.threads)
+        by_node = ctx.rows.T.astype(np.float64) @ by_gain
         return torch.from_numpy(d_image), torch.from_numpy(by_node), None
 
 

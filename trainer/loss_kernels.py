@@ -286,24 +286,32 @@ def expose_backward_rows(start, stop, image, d_exposed, gain, offset, behind, is
 
 
 @kernel
-def shade_rows(start, stop, image, gains, shaded):
-    """Rows [start, stop) of shaded (H, W, 4): the colours of image (H, W, 4) times gains (H, W)."""
+def shade_rows(start, stop, image, gains, columns, lefts, shaded):
+    """Rows [start, stop) of shaded (H, W, 4): the colours of image (H, W, 4) times what is between gains (H,
+    M) at the nodes of their row, by columns (W, M), weights of which all but two are 0: see `lefts` (W,)."""
     for y in range(start, stop):
         for x in range(image.shape[1]):
+            left = lefts[x]
+            gain = columns[x, left] * gains[y, left] + columns[x, left + 1] * gains[y, left + 1]
             for channel in range(3):
-                shaded[y, x, channel] = gains[y, x] * image[y, x, channel]
+                shaded[y, x, channel] = gain * image[y, x, channel]
             shaded[y, x, 3] = image[y, x, 3]
 
 
 @kernel
-def shade_backward_rows(start, stop, image, d_shaded, gains, d_image, by_gain):
-    """Rows [start, stop) of the gradients of `shade_rows` by image (H, W, 4) and by gains (H, W)."""
+def shade_backward_rows(start, stop, image, d_shaded, gains, columns, lefts, d_image, by_gain):
+    """Rows [start, stop) of the gradients of `shade_rows` by image (H, W, 4) and by gains (H, M)."""
     for y in range(start, stop):
+        by_gain[y] = 0
         for x in range(image.shape[1]):
-            total = type(gains[y, x])(0)
+            left = lefts[x]
+            first, second = columns[x, left], columns[x, left + 1]
+            gain = first * gains[y, left] + second * gains[y, left + 1]
+            total = type(gain)(0)
             for channel in range(3):
                 d = d_shaded[y, x, channel]
-                d_image[y, x, channel] = gains[y, x] * d
+                d_image[y, x, channel] = gain * d
                 total += d * image[y, x, channel]
             d_image[y, x, 3] = d_shaded[y, x, 3]
-            by_gain[y, x] = total
+            by_gain[y, left] += first * total
+            by_gain[y, left + 1] += second * total

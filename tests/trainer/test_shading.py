@@ -18,7 +18,7 @@ from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoi
 from splatview.trainer.effects import SHADING, capture_effects, with_shading
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.exposure import Evidence
-from splatview.trainer.functional import photo_loss, shade, weights
+from splatview.trainer.functional import left_nodes, photo_loss, shade, weights
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.shading import CELLS, Mode, Shadings, laplacian
 from splatview.trainer.trainer import Trainer
@@ -96,7 +96,10 @@ def test_gains_are_linear_between_nodes_and_alpha_stays() -> None:
     torch.testing.assert_close(dark[..., :3], 0.5 * image[..., :3], rtol=1e-6, atol=0)
     torch.testing.assert_close(dark[..., 3], image[..., 3])
     for length in (2, 6, 31):
-        np.testing.assert_allclose(weights(length, CELLS).sum(axis=1), 1, rtol=1e-6)
+        dense, lefts = weights(length, CELLS), left_nodes(length, CELLS)
+        np.testing.assert_allclose(dense.sum(axis=1), 1, rtol=1e-6)
+        two = np.take_along_axis(dense, np.stack([lefts, lefts + 1], axis=1), axis=1)
+        np.testing.assert_allclose(two.sum(axis=1), 1, rtol=1e-6)
     np.testing.assert_allclose(weights(60, CELLS) @ np.arange(CELLS), (np.arange(60) + 0.5) / 12, rtol=1e-5)
 
 
