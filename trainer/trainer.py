@@ -274,7 +274,7 @@ class Trainer:
             with clock.stage("exposure"):
                 self.exposures.step(progress, settings.batch)
         with clock.stage("shading"):
-            self.shadings.step(progress, self._rounds)
+            self.shadings.step(progress, self._rounds, exposed=self.exposures.is_on)
         with clock.stage("density"):
             self._clear_free_space(info)
             self.strategy.step_post_backward(
