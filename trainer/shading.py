@@ -5,7 +5,7 @@ one side darker. What a photo shows darker than all others do, a scene cannot be
 that photo's camera, or by colours that depend on direction, and both are wrong from elsewhere. So the picture
 of the scene is multiplied by the exponential of a smooth map before it is compared with its photo. Maps are
 pulled to 0, as a scene that is right needs none, and their mean over photos and places is 0; that of each
-photo is, too, unless it is told with some certainty: it is an exposure.
+photo is an exposure, and 0 where these are learnt beside maps.
 
 Chosen by a minute of `miku 12 near`, three splits: 27.27 dB without, 27.78 with them; docs/training.md has
 what judged that, and what was tried. Where many photos show each place others outvote a shadow: `miku` (51 of
@@ -46,13 +46,6 @@ A minute of `demo lens 40`, whose photos were rendered in one light (0.009), has
 35.78 with them, three splits (chosen); judged by `fern` (0.010), 25.06 both. A split of `miku 8 near` (0.009)
 would gain: 27.82 and 28.30."""
 
-LEAST_SURE = 4.0
-"""Times that photos differ in exposure as much as gains leave unexplained, see `exposure.Evidence`, from
-which on a map's mean may be another than 0, where exposures are not learnt beside it: else it explains by a
-photo's brightness what is its place's. Any mean and 0 (shading_levels.json). Chosen: three minutes of `bust`
-(1.4 and 1.9 times) 17.79 and 18.52 dB, a minute of `miku 12 near` (4.3 to 11) 27.78 and 27.58, of `castle`,
-where exposures are learnt, 16.78 and 17.25; docs/training.md has what judged it."""
-
 PULL, SMOOTH = 1.0, 0.3
 """Weights of half the mean square of a map, and of half the sum of squares of the differences of its
 neighbours over their number, beside the photo's loss."""
@@ -73,8 +66,6 @@ class Shadings:
     def __init__(self, names: Sequence[str], mode: Mode) -> None:
         self.mode: Mode = mode
         self.is_on = mode == "on"
-        self.has_levels = False
-        """Whether maps may make whole photos brighter."""
         self.maps = np.zeros((len(names), CELLS, CELLS))
         """(P, CELLS, CELLS): log gains of each photo at the nodes of its map, from its top left."""
         self.gradients = np.zeros_like(self.maps)
@@ -84,8 +75,7 @@ class Shadings:
 
     def decide(self, evidence: Evidence | None) -> None:
         """Decides, where that goes by the photos, by how far they differ; None: nobody knows, and maps are
-        learnt, with means of 0."""
-        self.has_levels = evidence is not None and evidence.spread > LEAST_SURE * evidence.error
+        learnt."""
         if self.mode == "auto":
             self.is_on = evidence is None or not evidence.spread < LEAST_DIFFERENCE
 
@@ -99,7 +89,14 @@ class Shadings:
 
     def step(self, progress: float, rounds: float, *, exposed: bool = False) -> None:
         """One step of Adam for the photos that `gradients` names, at this share of a scene's training, in
-        which each photo was looked at so often. `exposed`: whether exposures are learnt as well."""
+        which each photo was looked at so often. `exposed`: whether exposures are learnt as well.
+
+        A minute of `castle`, where they are, three splits, with maps of any mean, of means of 0, and without:
+        16.78, 17.25 and 17.01 dB. Dropped: means of 0, too, where photos differ by less than four times what
+        gains leave unexplained. Chosen on three minutes of `bust`, +0.74 dB (two splits); judged by a minute
+        of `queen` -0.71 (three), `bust` -0.64, `miku 12 far` +0.40, `kermit` +0.20 (two each), `miku 20 far`
+        -0.09 (three; shading_levels.json).
+        """
         rows = np.flatnonzero((self.gradients != 0).any(axis=(1, 2)))
         if not len(rows):
             return
@@ -108,14 +105,12 @@ class Shadings:
         rate = SETTLES**progress * REACH / max(rounds / progress, FEWEST_LOOKS)
         self.maps[rows] += self._adam.moves(rows, pulled, rate)
         # Brighter splats and lower gains look the same: the scene keeps the average light.
-        self.maps -= self.maps.mean(axis=None if self.has_levels and not exposed else (1, 2), keepdims=True)
+        self.maps -= self.maps.mean(axis=(1, 2) if exposed else None, keepdims=True)
         self.gradients[:] = 0
 
     def state(self) -> dict[str, np.ndarray]:
         """Arrays that `restore` takes; none where maps are off."""
-        if not self.is_on:
-            return {}
-        return {"maps": self.maps, "has_levels": np.array(self.has_levels), **self._adam.state()}
+        return {"maps": self.maps, **self._adam.state()} if self.is_on else {}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Goes on where another's `state` was taken, of the same photos; where it has none, as in files from
@@ -124,7 +119,6 @@ class Shadings:
         if state:
             self._adam.restore(state)
             self.maps[:] = state["maps"]
-            self.has_levels = bool(state.get("has_levels", True))
 
 
 def laplacian(maps: np.ndarray) -> np.ndarray:

@@ -122,33 +122,16 @@ def test_maps_that_nothing_calls_for_go_back_to_zero() -> None:
     assert np.abs(shadings.maps).max() < 0.01
 
 
-@pytest.mark.parametrize(
-    ("evidence", "exposed", "levels"),
-    [
-        (None, False, False),
-        (Evidence(0.08, 0.01), False, True),
-        (Evidence(0.08, 0.01), True, False),
-        (Evidence(0.08, 0.03), False, False),
-        (Evidence(np.nan, 0.01), False, False),
-    ],
-)
-def test_maps_have_levels_where_exposures_are_sure_and_not_learnt_beside(
-    evidence: Evidence | None, exposed: bool, levels: bool
-) -> None:
+@pytest.mark.parametrize("exposed", [False, True])
+def test_a_map_has_a_mean_where_no_exposure_is_learnt(exposed: bool) -> None:
     shadings = Shadings(["a", "b"], "on")
-    shadings.decide(evidence)
     for _ in range(20):
         for row, sign in enumerate((1, -1)):
             shadings.gradients[row] = sign * np.linspace(-0.01, 0.03, CELLS)
             shadings.step(0.5, 100, exposed=exposed)
     dark, bright = shadings.maps.mean(axis=(1, 2))
     assert abs(shadings.maps.mean()) < 1e-12 and np.ptp(shadings.maps[0]) > 0.01
-    assert bool(bright - dark > 0.01) is levels
-    resumed = Shadings(["a", "b"], "off")
-    resumed.restore(shadings.state())
-    assert resumed.has_levels is shadings.has_levels
-    resumed.restore({k: v for k, v in shadings.state().items() if k != "has_levels"})
-    assert resumed.has_levels, "as runs went before"
+    assert bool(bright - dark > 0.01) is not exposed
 
 
 def test_maps_of_runs_with_few_looks_hardly_move(views, start) -> None:
