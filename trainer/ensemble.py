@@ -73,7 +73,7 @@ Dropped: three scenes and a last one, of 80 to 100 steps per photo each, in one 
 12 far` 23.88, 20.50 and 19.84 dB in place of 24.44, 20.74 and 18.69 (means of three runs), two of `kermit`
 17.96 and 15.79 in place of 18.07 and 16.29. Two and a last one, of 1,000 steps each, three splits: `miku 12
 far` +0.58 dB, `kermit` +0.49, but `miku 12 near` -0.44 and `toy` -0.84. With maps of light, and only where
-cameras stand 25 to 60 degrees apart as seen from the scene: `miku 12 far` +0.45, `kermit` +0.41, but, judged
+cameras stand 23 to 65 degrees apart as seen from the scene: `miku 12 far` +0.45, `kermit` +0.41, but, judged
 so, `miku 8 far` -0.44 and `bust` -1.27. Dropped, too, on `miku 12 far`, which has 21.31 by one scene: two on
 photos half as large and a last one, 21.15; three on photos a quarter as large, and pictures so small, 20.21
 (assets/benchmarks/shorter.json)."""
