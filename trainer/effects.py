@@ -79,7 +79,7 @@ Antialiased = Literal["auto", "on", "off"]
 def scales(cameras: Sequence[Camera], points: np.ndarray) -> np.ndarray:
     """px per world unit at which each camera shows what it sees, by the median depth of the points (P, 3)
     in its picture; NaN where it sees none."""
-    some = points[:: -(-len(points) // POINTS)]
+    some = points[:: max(-(-len(points) // POINTS), 1)]
     found = np.full(len(cameras), np.nan)
     for index, camera in enumerate(cameras):
         t = some @ camera.R_camera_world.T + camera.t_camera_world

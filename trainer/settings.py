@@ -410,7 +410,7 @@ class TrainSettings(StrategySettings):
     camera; 0: anywhere. See `free_space`."""
     max_size: float = MAX_SIZE
     """Standard deviation that a splat has at most along any axis, in distances to a camera whose photo shows
-    it. See `free_space`."""
+    it. See `free_space.automatic_max_size`."""
     least_shown: float = LEAST_SHOWN
     """Of a photo, that a splat must contribute to all photos together, or it goes when density control ends
     and as the run does; 0: what none shows goes nowhere. See `free_space`."""

@@ -30,7 +30,7 @@ from splatview.trainer.distributed import Group
 from splatview.trainer.effects import Antialiased, model_for
 from splatview.trainer.ensemble import EnsembleTrainer, kind_of_trainer
 from splatview.trainer.evaluate import Evaluation, evaluate
-from splatview.trainer.free_space import nearest_depths
+from splatview.trainer.free_space import automatic_max_size, nearest_depths
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.memory import (
     Bound,
@@ -142,6 +142,7 @@ def settings_for(
         "ensemble": MEMBERS if few_steps is not None and timed is not None else 1,
         "shorter": fewer and (fewer, min(limit, automatic_limit(pixels, timed, fewer, once))),
         "max_aspect": automatic_max_aspect(photos),
+        "max_size": automatic_max_size(says_empty),
         "sh_divisor": automatic_sh_divisor(shown, steps),
         "far_from": automatic_far_from(photos, everywhere),
         "shading": automatic_shading(everywhere, shown),

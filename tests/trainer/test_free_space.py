@@ -18,6 +18,8 @@ from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoi
 from splatview.trainer.effects import PASSING
 from splatview.trainer.free_space import (
     GONE,
+    MAX_SIZE,
+    MAX_SIZE_OF_OBJECTS,
     limit_sizes,
     nearest_depths,
     passing,
@@ -166,6 +168,15 @@ def test_a_run_limits_sizes(views: list[TrainView], start: Parameters, make_trai
     most = np.log(0.5 * np.linalg.norm(arrays.means[0] - views[0].camera.eye))
     assert (arrays.log_scales[0].max() <= most + 1e-5) == (max_size == 0.5)
     assert np.abs(arrays.log_scales[1:] - start.log_scales[1:]).max() < 0.1 * CLEAR_STEPS
+
+
+def test_splats_of_an_object_are_smaller(views: list[TrainView]) -> None:
+    """Where photos say what is empty; what they show everywhere may need large ones."""
+    capture = capture_of(views, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+    shown = TrainViews(views, 0)  # before a plain grey
+    assert settings_for(capture, shown, iterations=100).max_size == MAX_SIZE_OF_OBJECTS < MAX_SIZE
+    assert settings_for(capture, shown, iterations=100, backdrop="off").max_size == MAX_SIZE
+    assert settings_for(capture, shown, iterations=100, max_size=0.3).max_size == 0.3
 
 
 def test_a_size_limit_is_above_zero(make_trainer) -> None:
