@@ -71,7 +71,7 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
         "surround", "photos that show something everywhere, few of them each place", black={"surround": None}
     ),
     *_rungs("free space", "points that photos show", off={"free_space": 0.0}),
-    *_rungs("size of splats", any={"max_size": math.inf}),
+    *_rungs("size of splats", half_the_distance={"max_size": 0.5}, any={"max_size": math.inf}),
     *_rungs("unseen splats", stay={"least_shown": 0.0, "least_visibility": 0.0}),
     *_rungs("hidden splats", stay={"least_visibility": 0.0}),
     *_rungs("splats of one photo", stay={"most_of_one": 1.0}),

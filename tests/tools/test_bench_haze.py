@@ -30,4 +30,4 @@ def test_the_table_weighs_pixels_not_splits():
         {"capture": "skull close 80", "split": 1, "pixels": [0, 300], "opacities": [0.0, 3.0]},
     ]
     (row,) = table(runs)["rows"]
-    assert row == ["skull close 80", "judge", 2, "0.0223", "2.50%", "0.500", "56%", "0.0100"]
+    assert row == ["skull close 80", "choose", 2, "0.0223", "2.50%", "0.500", "56%", "0.0100"]

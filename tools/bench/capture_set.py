@@ -280,7 +280,7 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "spot RGBA 60": ("judge", objects("spot_10k.splat", 60, points=False)),
     "biker white 60": ("judge", objects("biker/biker.compressed.ply", 60, points=False, before=1.0)),
     "playbot close 80": ("choose", objects("playbot_lod0.ply", 80, points=True, cameras_of=closeups)),
-    "skull close 80": ("judge", objects("skull.ply", 80, points=True, cameras_of=closeups)),
+    "skull close 80": ("choose", objects("skull.ply", 80, points=True, cameras_of=closeups)),
     "train front 30": ("choose", front("train-1000.ply", 30)),
     "biker front 24": ("choose", front("biker/biker.compressed.ply", 24)),
     "guitar front 36": ("judge", front("guitar/guitar.compressed.ply", 36)),
