@@ -40,8 +40,8 @@ the least depth and the share that stood already: with 0.75 of it 17.63, 21.49, 
 of it 15.52, 20.67, 16.26 and 20.19; with half the median depth 17.59, 21.49, 16.25 and 20.68. Judged by
 near.json. Dropped: whatever is nearer than a share of the way to the scene's middle, half of which would
 bring 2.6 dB to `kermit` and -2.6 to `toy`; what is larger than a third of its distance, `miku 12 far` +0.08
-(one photo -1.9). Nor what a camera stands inside of, within 1 to 4 standard deviations: 0.00 to -0.01 dB
-on split 0 of `miku 12 far`, +0.01 to -0.05 on split 2, for veils lie there in many layers.
+(one photo -1.9); what a camera stands inside of, within 1 to 4 standard deviations, 0.00 to -0.01 dB on split
+0 of `miku 12 far`, +0.01 to -0.05 on split 2.
 
 Dropped: a depth for each of 16x16 cells of a photo, by the points in it and beside it, in place of one for
 all of it. Half of that, 20 splits of 8 captures, a minute, the means of one to three runs each: +0.09 dB
