@@ -25,7 +25,7 @@ from splatview.scene.effects.appearance import MIP_BLUR
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.backdrop import ENOUGH_PHOTOS, SPREAD
 from splatview.trainer.exposure import DECIDED_BY, Exposures
-from splatview.trainer.free_space import FEW_OF, LOOK_STEPS
+from splatview.trainer.free_space import FEW_OF, LOOK_STEPS, MAX_SIZE, MAX_SIZE_OF_OBJECTS
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
 from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
 from splatview.trainer.settings import TrainSettings, automatic_regularisation
@@ -60,6 +60,8 @@ FAR = "faster far means"
 SKY = "sky"
 
 SURROUND = "surround"
+
+LONGEST = "longest splats"
 
 BLOCKS = "withheld blocks"
 
@@ -127,6 +129,7 @@ def capture_effects(
         _background(capture, settings),
         _sky(settings),
         _surround(settings),
+        _longest(settings),
         _covered(len(capture.train), settings, covered),
         _blocks(settings),
         _scenes(settings),
@@ -471,6 +474,22 @@ def _surround(settings: TrainSettings) -> Effect:
         on=settings.surround is not None,
         why=why,
         saving=Saving(what="three random numbers a photo"),
+    )
+
+
+def _longest(settings: TrainSettings) -> Effect:
+    limit = settings.max_size
+    reasons = {
+        MAX_SIZE: "; longer ones are veils before what photos from aside show",
+        MAX_SIZE_OF_OBJECTS: ": photos say where nothing is, and longer ones reach there as haze",
+    }
+    is_on = limit < math.inf
+    why = f"none is longer than {limit:g} of its distance to a camera that shows it{reasons.get(limit, '')}"
+    return Effect(
+        name=LONGEST,
+        on=is_on,
+        why=why if is_on else "of any length, as asked for",
+        saving=Saving(what="a look at the scales of what each photo shows, after its step"),
     )
 
 

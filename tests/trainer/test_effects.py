@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from splatview.trainer.effects import (
     FAR,
     FEW_PHOTOS,
     FROZEN,
+    LONGEST,
     OUTLIERS,
     PASSING,
     SCALE_RATIO,
@@ -260,6 +262,20 @@ def test_what_photos_show_of_their_pixels_is_told() -> None:
     assert not on and why.endswith("; mean opacity and scale weigh as asked for")
     on, why = told_of(0.064, strategy="classic", opacity_reg=weight, scale_reg=weight)
     assert not on and why.endswith("6.4% of their pixels, which this strategy does not go by")
+
+
+@pytest.mark.parametrize(
+    ("limit", "is_on", "begins", "ends"),
+    [
+        (0.5, True, "none is longer than 0.5 of its distance", "from aside show"),
+        (0.05, True, "none is longer than 0.05 of its distance", "reach there as haze"),
+        (0.2, True, "none is longer than 0.2 of its distance", "a camera that shows it"),
+        (math.inf, False, "of any length", "as asked for"),
+    ],
+)
+def test_how_long_splats_may_be_is_told(limit: float, is_on: bool, begins: str, ends: str):
+    on, why = told(capture([2.0] * 4), max_size=limit)[LONGEST]
+    assert on == is_on and why.startswith(begins) and why.endswith(ends)
 
 
 def test_a_loss_that_wavers_is_told_once(make_trainer, tmp_path):
