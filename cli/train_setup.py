@@ -55,8 +55,9 @@ from splatview.trainer.memory import (
     sizes_of_capture,
 )
 from splatview.trainer.photo_size import SizeChoice, automatic_batch
+from splatview.trainer.recipe import LEAST_LIMIT, MEMBERS, automatic_steps
 from splatview.trainer.run import Outputs
-from splatview.trainer.settings import LEAST_LIMIT, MEMBERS, TrainSettings, automatic_steps
+from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.torch_import import TorchImport
 from splatview.trainer.views import TrainView, TrainViews, train_views

@@ -58,7 +58,7 @@ SSIM 0.772 and 0.763. Judged, 16: `miku 24 far` 23.92 and 24.48, 24.34 and 24.43
 splits), `guitar sky 24`, whose splits differ by up to 2 dB by chance, 31.85 and 31.52."""
 
 FAR_FROM = 0.25
-"""See `TrainSettings.far_from` and `settings.automatic_far_from`. A rate in units of the scene's extent moves
+"""See `TrainSettings.far_from` and `recipe.automatic_far_from`. A rate in units of the scene's extent moves
 what is ten times as far a tenth as many pixels: houses behind a monument hardly leave where they begin, and
 splats in the air before single photos stand for them.
 

@@ -28,7 +28,8 @@ from splatview.trainer.exposure import DECIDED_BY, Exposures
 from splatview.trainer.free_space import FEW_OF, LOOK_STEPS, MAX_SIZE, MAX_SIZE_OF_OBJECTS
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
 from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
-from splatview.trainer.settings import TrainSettings, automatic_regularisation
+from splatview.trainer.recipe import automatic_regularisation
+from splatview.trainer.settings import TrainSettings
 from splatview.trainer.shading import Shadings
 from splatview.trainer.sky import Sky
 from splatview.trainer.strategies.mcmc import LEAST_REG

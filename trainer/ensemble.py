@@ -3,7 +3,7 @@
 Few photos leave much to chance: equal runs in another order of the photos differ by 0.2 to 0.6 dB in
 held-out photos, and the mean of their pictures is better than any of them, for what each has learnt by heart
 is not alike. Such a run is also over long before its minutes are. So, where there is time, it begins anew, up
-to `settings.MEMBERS` times, and then once more with photos and with pictures: the mean of what the scenes
+to `recipe.MEMBERS` times, and then once more with photos and with pictures: the mean of what the scenes
 before show between the photos' cameras (ensembles: Lakshminarayanan et al. 2017, distillation: Hinton et al.
 2015). So many pictures need no rules for few photos. Until the last scene is whole, the first one is the
 run's.
@@ -26,7 +26,8 @@ from splatview.trainer.distributed import Group
 from splatview.trainer.functional import Visibility
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.progressive import ProgressiveResolution
-from splatview.trainer.settings import LEAST_CUT, LEAST_SCENES, LEAST_SHORTER, TrainSettings, pictures_taught
+from splatview.trainer.recipe import LEAST_CUT, LEAST_SCENES, LEAST_SHORTER, pictures_taught
+from splatview.trainer.settings import TrainSettings
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies.mcmc import LEAST_REG
 from splatview.trainer.trainer import Trainer

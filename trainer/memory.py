@@ -22,7 +22,7 @@ from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats.io import resident_memory
 from splatview.scene.formats.ply_body import free_memory
 from splatview.scene.gaussians import SH_COEFFICIENTS
-from splatview.trainer.settings import pictures_taught
+from splatview.trainer.recipe import pictures_taught
 from splatview.trainer.stereo import MOST_PHOTOS, PIXELS, PIXELS_PER_POINT
 
 MARGIN = 1.03

@@ -19,7 +19,7 @@ from splatview.scene import InputError
 from splatview.scene.captures import PosedPhotos
 from splatview.scene.captures.photos import downscaled_size
 from splatview.trainer.memory import sizes_of_files
-from splatview.trainer.settings import MOST_THREADS, STEPS_OF_A_MINUTE
+from splatview.trainer.recipe import MOST_THREADS, STEPS_OF_A_MINUTE
 
 LARGEST_SIDE = 1600
 """px of the longer side that photos have at most, as in the code of Kerbl et al. 2023."""

@@ -51,13 +51,11 @@ from splatview.trainer.photo_size import (
     steps_of_a_minute,
 )
 from splatview.trainer.plugin import LossPlugin, LossStep, load_plugin
-from splatview.trainer.settings import (
+from splatview.trainer.recipe import (
     FULL_REG_LOSS,
     LEAST_LIMIT,
     MEMBERS,
-    PAPER_ITERATIONS,
     STEPS_OF_A_MINUTE,
-    TrainSettings,
     automatic_dropout,
     automatic_far_from,
     automatic_limit,
@@ -67,6 +65,7 @@ from splatview.trainer.settings import (
     automatic_shorter,
     automatic_steps,
 )
+from splatview.trainer.settings import PAPER_ITERATIONS, TrainSettings
 from splatview.trainer.shading import automatic_shading
 from splatview.trainer.sky import find_sky, with_sky
 from splatview.trainer.stereo import stereo_points, thinned

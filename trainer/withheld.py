@@ -15,7 +15,7 @@ of 6 to 12 far photos lose more often than they gain, `castle` 0.0, `toy` 0.1, `
 `statue` +0.34, `train front 30` -0.07, `fox` -0.08, `demo hard 40` -0.16, `mouse` -0.32, `demo lens 40`
 -0.41, `miku 40 far` -0.51. The factors and `SETTLED` were chosen on
 `beach`, `kermit` and `bust`, one split each. Whole photos that are withheld tell less: see
-`settings.automatic_steps`.
+`recipe.automatic_steps`.
 """
 
 from __future__ import annotations

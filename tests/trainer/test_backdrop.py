@@ -25,7 +25,8 @@ from splatview.trainer.backdrop import (
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import SURROUND, capture_effects
 from splatview.trainer.loss import photo_loss
-from splatview.trainer.settings import TrainSettings, automatic_steps, from_recorded, recorded
+from splatview.trainer.recipe import automatic_steps
+from splatview.trainer.settings import TrainSettings, from_recorded, recorded
 from splatview.trainer.setup import kernel_threads_only
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews, train_views

@@ -34,8 +34,9 @@ from splatview.trainer.effects import (
     scale_ratio,
     with_easing,
 )
+from splatview.trainer.recipe import automatic_regularisation
 from splatview.trainer.run import Outputs, TrainingRun
-from splatview.trainer.settings import TrainSettings, automatic_regularisation
+from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies.ops import raise_sh_degree
 
 

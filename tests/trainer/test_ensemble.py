@@ -32,8 +32,9 @@ from splatview.trainer.ensemble import (
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.memory import Machine, PhotoSizes, run_memory
 from splatview.trainer.plugin import LossPlugin
+from splatview.trainer.recipe import MEMBERS, PICTURES, automatic_shorter, pictures_taught
 from splatview.trainer.run import Outputs, RunProgress, TrainingRun
-from splatview.trainer.settings import MEMBERS, PICTURES, TrainSettings, automatic_shorter, pictures_taught
+from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for, train
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainView, TrainViews

@@ -26,7 +26,8 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_capture,
 )
-from splatview.trainer.settings import LEAST_LIMIT, TrainSettings
+from splatview.trainer.recipe import LEAST_LIMIT
+from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for
 from splatview.trainer.views import TrainViews, train_views
 

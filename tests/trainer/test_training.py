@@ -23,21 +23,18 @@ from splatview.scene import InputError
 from splatview.scene.captures import load_capture
 from splatview.trainer import setup
 from splatview.trainer.adam import FAST_SCALES, SelectiveAdam, automatic_scale_rates
+from splatview.trainer.adam_kernels import FAR_FROM, FEWEST_FOR_FAST
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.counters import StepReport
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.functional import Visibility, dropout
 from splatview.trainer.photo_size import HALF_THE_SIZE, automatic_batch, automatic_levels, steps_of_a_minute
-from splatview.trainer.run import RunProgress
-from splatview.trainer.settings import (
-    FAR_FROM,
+from splatview.trainer.recipe import (
     FEW_PHOTOS,
-    FEWEST_FOR_FAST,
     MOST_DETAIL,
     ONCE_PIXELS,
     SH_STEPS,
     STEPS_OF_A_MINUTE,
-    TrainSettings,
     automatic_dropout,
     automatic_far_from,
     automatic_limit,
@@ -45,9 +42,9 @@ from splatview.trainer.settings import (
     automatic_regularisation,
     automatic_sh_divisor,
     automatic_steps,
-    from_recorded,
-    recorded,
 )
+from splatview.trainer.run import RunProgress
+from splatview.trainer.settings import TrainSettings, from_recorded, recorded
 from splatview.trainer.setup import settings_for
 from splatview.trainer.splats import Splats
 from splatview.trainer.strategies.default import DefaultStrategy

@@ -28,7 +28,7 @@ import numpy as np
 from capture_set import DRIFTING, NAMES, RENDERED, SPLITS, make_all, use_of
 
 from splatview.measure.machine import FOLDER, write_results
-from splatview.trainer.settings import MEMBERS, STEPS_OF_A_MINUTE
+from splatview.trainer.recipe import MEMBERS, STEPS_OF_A_MINUTE
 
 RUN = Path(__file__).with_name("generalisation_run.py")
 

@@ -35,16 +35,18 @@ def work(capture: str, downscale: int, splats: int) -> None:
 
     from splatview.raster import Workspace
     from splatview.scene.captures import load_capture
-    from splatview.trainer.settings import TrainSettings, automatic_dropout, automatic_max_aspect
+    from splatview.trainer.settings import TrainSettings
     from splatview.trainer.trainer import Trainer
     from splatview.trainer.views import TrainViews, train_views
 
     try:
         from splatview.trainer.initialisation import initial_parameters
+        from splatview.trainer.recipe import automatic_dropout, automatic_max_aspect
         from splatview.trainer.torch_import import TorchImport
 
         TorchImport().wait()  # as the command has it, with its threads off
     except ImportError:  # the checkout before
+        from splatview.trainer.settings import automatic_dropout, automatic_max_aspect  # pyright: ignore
         from splatview.trainer.splats import initial_parameters  # pyright: ignore
 
     photos = load_capture(capture, downscale=downscale)

@@ -33,7 +33,8 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_capture,
 )
-from splatview.trainer.settings import MEMBERS, TrainSettings
+from splatview.trainer.recipe import MEMBERS
+from splatview.trainer.settings import TrainSettings
 
 sys.path.append(str(Path(__file__).parents[1] / "soak"))
 from screen import screen

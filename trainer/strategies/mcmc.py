@@ -117,7 +117,7 @@ class MCMCSettings(DensitySettings):
     full_reg_loss: float = 0.0
     """Photo loss from which on both weights are full, as dropout and the limit to needles are with every
     strategy; below they are less in proportion, but not below `LEAST_REG`. 0: always full. See
-    `settings.FULL_REG_LOSS`."""
+    `recipe.FULL_REG_LOSS`."""
     reg_end: float = 0.1
     """mcmc: factor of both weights at the end of the run, reached exponentially. Adam moves what only a
     regulariser moves at full speed: at constant strength a run of 67,000 steps on 13 photos ended with a

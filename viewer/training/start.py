@@ -32,13 +32,8 @@ from splatview.trainer.memory import (
     sizes_of_files,
 )
 from splatview.trainer.photo_size import automatic_batch, downscale_for
-from splatview.trainer.settings import (
-    LEAST_LIMIT,
-    MEMBERS,
-    TrainSettings,
-    automatic_limit,
-    automatic_steps,
-)
+from splatview.trainer.recipe import LEAST_LIMIT, MEMBERS, automatic_limit, automatic_steps
+from splatview.trainer.settings import TrainSettings
 from splatview.viewer import open as opening
 from splatview.viewer.camera import CameraLists
 from splatview.viewer.editing.session import Editing
