@@ -362,12 +362,14 @@ def _shading(settings: TrainSettings) -> Effect:
 def _masks(capture: Capture) -> Effect:
     statistics = capture.statistics
     why = f"{statistics.masks} of {len(capture.photos)} photos have a mask"
-    if statistics.masks and not statistics.hidden and statistics.transparent:
+    cuts = statistics.cut_out and statistics.masks > 0
+    if cuts:
         why += ": what they hide is empty, as in transparent photos"
     if statistics.hidden > 0:
         what = " or beyond what their lens saw" if statistics.lenses else ""
         why += f"; {statistics.hidden:.2%} of all pixels are masked{what}, and not compared"
-    return Effect(name="masks", on=statistics.hidden > 0, why=why, saving=Saving(what="a look at each pixel"))
+    on = cuts or statistics.hidden > 0
+    return Effect(name="masks", on=on, why=why, saving=Saving(what="a look at each pixel"))
 
 
 def _lens(capture: Capture) -> Effect:

@@ -61,18 +61,22 @@ def capture_of(
 ) -> Capture:
     """Raises InputError, Cancelled."""
     entries, twice = _unique(posed.entries)
-    _check_count(posed, entries)
+    _check_count(posed, [entry.name for entry in entries])
     entries, statistics = _without_lenses_that_do_not_show(entries, downscale)
     held_out = _held_out(entries)
     if all(held_out):
         raise InputError(f"{posed.source}: all photos are held out; nothing is left to train on")
 
-    photos, hidden, transparent, kept = [], [], 0, 0
+    cut_out = masks == "cut-out"
+    photos, hidden, opaque, transparent, kept = [], [], [], 0, 0
     pixel_count = hidden_pixels = 0
     read = (downscale, background, lens, masks)
     for entry, is_held_out, pixels in zip(entries, held_out, _read_all(entries, read, progress), strict=True):
         if pixels.mask is not None and not pixels.mask.any():
             hidden.append(entry.name)
+            continue
+        if cut_out and entry.mask is None and pixels.alpha is None:
+            opaque.append(entry.name)
             continue
         transparent += pixels.alpha is not None
         pixel_count += pixels.image[..., 0].size
@@ -88,10 +92,21 @@ def capture_of(
             )
         )
 
+    if opaque and not photos:
+        raise InputError(
+            f"{posed.source}: none of its photos has a mask to be cut out by, nor is one transparent; put"
+            " masks into the folder masks of the capture, named as the photos"
+        )
     if all(photo.held_out for photo in photos):
-        raise InputError(f"{posed.source}: masks leave nothing of the photos to train on: {some(hidden)}")
+        left_out = some(sorted(hidden + opaque))
+        raise InputError(f"{posed.source}: masks leave nothing of the photos to train on: {left_out}")
+    _check_count(posed, [photo.name for photo in photos])
 
     warnings = list(posed.warnings)
+    if opaque:
+        warnings.append(
+            f"{len(opaque)} photos are left out, for they have no mask to be cut out by: {some(opaque)}"
+        )
     if hidden:
         warnings.append(
             f"{len(hidden)} photos are left out, for their masks hide all of them: {some(hidden)}"
@@ -128,6 +143,7 @@ def capture_of(
             statistics,
             transparent=transparent,
             masks=sum(entry.mask is not None for entry in entries),
+            cut_out=cut_out,
             hidden=hidden_pixels / pixel_count,
         ),
         warnings=tuple(warnings),
@@ -169,11 +185,10 @@ def _unique(entries: Sequence[PosedPhoto]) -> tuple[list[PosedPhoto], list[str]]
     return [by_name[name] for name in sorted(by_name)], twice
 
 
-def _check_count(posed: PosedPhotos, entries: Sequence[PosedPhoto]) -> None:
-    if len(entries) == 1:
+def _check_count(posed: PosedPhotos, names: Sequence[str]) -> None:
+    if len(names) == 1:
         raise InputError(
-            f"{posed.source}: only one photo ({entries[0].name}) is left to learn from; at least two are "
-            "needed"
+            f"{posed.source}: only one photo ({names[0]}) is left to learn from; at least two are needed"
         )
 
 

@@ -40,6 +40,8 @@ class PhotoStatistics:
     """Photos with transparency, laid over the background."""
     masks: int = 0
     """Photos that come with a mask of their own."""
+    cut_out: bool = False
+    """Whether what masks hide is empty, as in transparent photos."""
     hidden: float = 0.0
     """Share of all photos' pixels that do not count: masked, or beyond what the lens has seen."""
 

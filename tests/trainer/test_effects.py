@@ -135,6 +135,10 @@ def test_each_effect_names_its_evidence():
     assert "1 of 4 photos have transparency, laid over 0, 0, 0" in rich["background"][1]
     assert "their opacity is part of the loss" in rich["background"][1]
 
+    cut = told(capture([2.0] * 4, masks=4, cut_out=True, transparent=4))["masks"]
+    assert cut == (True, "4 of 4 photos have a mask: what they hide is empty, as in transparent photos")
+    assert told(capture([2.0] * 4, cut_out=True, transparent=4))["masks"][0] is False
+
     weak = told(capture([2.0] * 4, lenses_left_out=4, displacement=0.03))
     assert weak["lens distortion"] == (
         False,

@@ -246,6 +246,9 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["size"] += [state.form.downscale, state.trained_size()]
     ctx.combo_click(f"##Size of the photos/As time allows: {width} x {height} px")
     found["size"] += [state.form.downscale]
+    found["masks"] = [state.found.masks, state.form.masks]
+    ctx.combo_click("##Masks/Black is empty: an object alone")
+    found["masks"] += [state.form.masks]
     ctx.combo_click("##Exposure/Not corrected")
     ctx.combo_click("##Shading/Corrected for each photo")
     ctx.combo_click("##Outliers/Trained on")
@@ -274,6 +277,7 @@ def starts(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, 
     found["bound"], found["peak"] = training.memory.bound.bytes, training.memory.peak
     found["told"] = any("memory: about" in message.text for message in app.messages)
     settings = training.status.settings
+    found["transparent"] = all(photo.shot.alpha is not None for photo in training.photos)
     corrections = [settings.exposure, settings.shading, settings.outliers]
     found["trained"] = [*corrections, settings.most_of_one, settings.sky, settings.background]
 

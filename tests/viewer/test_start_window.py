@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from PIL import Image
 
 from splatview.scene.formats import load_scene, save_scene
 
@@ -57,6 +58,13 @@ def test_the_file_browser(drive, scene_file, tmp_path, random_gaussians):
 
 def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):
     output = tmp_path / "trained.ply"
+    photos = sorted(capture.rglob("*.png"))
+    (capture / "masks").mkdir()
+    for photo in photos:
+        with Image.open(photo) as image:
+            mask = Image.new("L", image.size, 255)
+        mask.paste(0, (0, 0, 8, mask.height))
+        mask.save(capture / "masks" / f"{photo.name}.png")
     found = drive(
         "starts",
         script="start_drives.py",
@@ -69,6 +77,7 @@ def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):
     assert found["photos"] == 10 and found["proposed"] == str(capture.parent / "pond.ply")
     assert found["scene"] == "pond (training)" and found["steps"] >= 5
     assert found["memory"] == ["2 GB", False, 2 * 10**9]
+    assert found["masks"] == [len(photos), "ignore", "cut-out"] and found["transparent"]
     by_itself, whole, halved, half, again = found["size"]
     assert by_itself is None and again is None and halved == 2
     assert half == [side // 2 for side in whole]

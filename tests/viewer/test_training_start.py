@@ -6,6 +6,7 @@ import time
 from dataclasses import replace
 
 import pytest
+from PIL import Image
 
 from splatview.scene import InputError
 from splatview.viewer.command import Command
@@ -59,6 +60,23 @@ def test_the_form_asks_for_corrections(app, capture):
     asked = " ".join(start.arguments())
     assert "--outliers off --passing stay" in asked
     assert "--exposure on --shading off" in asked and "--sky off" in asked and "--background 1,1,1" in asked
+
+
+def test_the_form_asks_what_masks_mean_where_there_are_any(app, capture):
+    start = app.feature(TrainingStart)
+    start.choose(capture)
+    found = looked(app).found
+    assert found is not None and found.masks == 0 and "--masks" not in start.arguments()
+    masks = capture / "masks"
+    masks.mkdir()
+    for photo in found.photos[:3]:
+        Image.new("L", found.size, 255).save(masks / f"{photo.name}.png")
+    start.choose(capture)
+    found = looked(app).found
+    assert found is not None and found.masks == 3
+    assert "--masks ignore" in " ".join(start.arguments())
+    start.form.masks = "cut-out"
+    assert "--masks cut-out" in " ".join(start.arguments())
 
 
 def test_a_folder_without_a_capture_above_it_is_told_of(app, tmp_path):

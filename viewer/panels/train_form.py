@@ -23,6 +23,7 @@ from splatview.viewer.training.start import (
     BACKGROUNDS,
     DOWNSCALES,
     LENGTHS,
+    MASKS,
     MEMORIES,
     OUTLIERS,
     PASSING,
@@ -163,6 +164,8 @@ def _found(app: AppState, state: TrainingStart) -> None:
     width, height = found.size
     text = f"{len(found.photos):,} photos, {width} x {height} px"
     text += f", {found.points:,} points" if found.points else ", no points: it begins with random ones"
+    if found.masks:
+        text += f", {found.masks:,} masks"
     widgets.fact("Found", text)
     if found.missing:
         widgets.note(
@@ -223,6 +226,17 @@ def _choices(app: AppState, state: TrainingStart) -> None:
     if memory is not None:
         form.memory = memory
     _memory(state)
+    if state.found.masks:
+        masks = widgets.combo(
+            "Masks",
+            form.masks,
+            MASKS,
+            "What is black in the masks of the photos: something in the way, such as somebody who walks past,"
+            " or all that is not the object; photos without a mask are left out then.",
+            ("Black is not compared", "Black is empty: an object alone"),
+        )
+        if masks is not None:
+            form.masks = masks
     exposure = widgets.combo(
         "Exposure",
         form.exposure,

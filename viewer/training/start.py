@@ -9,11 +9,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 from splatview.raster.compiling import available_threads
 from splatview.scene import InputError
 from splatview.scene.captures import read_poses
+from splatview.scene.captures.capture import MaskUse
 from splatview.scene.captures.photos import downscaled_size
 from splatview.scene.captures.points import MIN_POINTS
 from splatview.scene.errors import parse_bytes
@@ -72,6 +73,9 @@ WHETHER = ("auto", "on", "off")
 OUTLIERS = ("auto", "off")
 """The same of photos that disagree with the others."""
 
+MASKS = get_args(MaskUse)
+"""What masks of photos may mean, the first unless the user says otherwise."""
+
 PASSING = ("auto", "stay")
 """The same of splats that one photo alone shows in front of what others do."""
 
@@ -92,6 +96,8 @@ class Found:
     """Photos with a pose that are not there."""
     points: int
     """Points that the capture gives to begin with."""
+    masks: int
+    """Photos that come with a mask of their own."""
     automatic: dict[Length, int]
     """By what photos are made smaller each way unless the user says otherwise, for each length of a run."""
     sizes: dict[int, PhotoSizes]
@@ -113,6 +119,7 @@ def look_through(folder: Path, progress: Progress) -> Found:
         size=(largest.width, largest.height),
         missing=len(posed.missing),
         points=len(posed.points),
+        masks=sum(entry.mask is not None for entry in posed.entries),
         automatic=automatic,
         sizes={
             factor: sizes_of_files(posed.entries, factor) for factor in {*DOWNSCALES, *automatic.values()}
@@ -160,6 +167,8 @@ class TrainingForm:
     """One of DOWNSCALES; None: by the length."""
     memory: str = AUTOMATIC
     """One of MEMORIES."""
+    masks: str = MASKS[0]
+    """One of MASKS, where there are any."""
     exposure: str = WHETHER[0]
     """One of WHETHER, as `shading` and `sky` are."""
     shading: str = WHETHER[0]
@@ -239,6 +248,7 @@ class TrainingStart(Feature):
             *("--exposure", self.form.exposure, "--shading", self.form.shading, "--sky", self.form.sky),
             *("--outliers", self.form.outliers, "--passing", self.form.passing),
             *("--background", BACKGROUNDS[self.form.background]),
+            *(("--masks", self.form.masks) if self.found.masks else ()),
             *(() if self.form.memory == AUTOMATIC else ("--memory", self.form.memory)),
         ]
 

@@ -255,6 +255,30 @@ def test_masks_that_hide_all_of_a_photo(tmp_path, colmap_capture, png):
     for i in range(9):
         png(tmp_path / f"masks/p{i:02d}.png", np.zeros((30, 40), np.uint8))
     assert "masks leave nothing" in refused(tmp_path)
+    assert len(load_capture(tmp_path, masks="cut-out").photos) == 9, "photos of nothing at all are photos"
+
+
+def test_photos_that_no_mask_cuts_out(tmp_path, colmap_capture, png):
+    colmap_capture(tmp_path)
+    with pytest.raises(InputError, match="none of its photos has a mask to be cut out by, nor is one"):
+        load_capture(tmp_path, masks="cut-out")
+    white = np.full((30, 40), 255, np.uint8)
+    png(tmp_path / "masks/p03.png", white)
+    with pytest.raises(InputError, match=r"only one photo \(p03\.png\) is left to learn from"):
+        load_capture(tmp_path, masks="cut-out")
+    png(tmp_path / "images/p04.png", np.full((30, 40, 4), 128, np.uint8))  # transparent by itself
+    png(tmp_path / "masks/p05.png", np.where(np.arange(40) < 20, white, 0))
+    capture = load_capture(tmp_path, masks="cut-out")
+    assert [photo.name for photo in capture.photos] == ["p03.png", "p04.png", "p05.png"]
+    (warning,) = (one for one in capture.warnings if "mask" in one)
+    assert warning.startswith("6 photos are left out, for they have no mask to be cut out by: p00.png, p01")
+    assert capture.statistics.cut_out and capture.statistics.masks == 2
+    assert len(load_capture(tmp_path).photos) == 9, "where masks are to be ignored, nothing is left out"
+    png(tmp_path / "masks/p00.png", white)
+    for name in ("masks/p03.png", "masks/p05.png"):
+        (tmp_path / name).unlink()
+    png(tmp_path / "images/p04.png", np.full((30, 40, 3), 128, np.uint8))
+    assert "masks leave nothing of the photos to train on: p01.png" in refused(tmp_path, masks="cut-out")
 
 
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
