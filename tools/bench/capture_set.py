@@ -19,14 +19,14 @@ from typing import Literal
 import numpy as np
 import sky_scenes
 import wood_scene
-from PIL import Image
+from PIL import Image, ImageFilter
 from public_captures import PUBLIC
 
 from splatview.raster import render
 from splatview.scene import Camera, Gaussians, Lens, RenderSettings
 from splatview.scene.camera import look_at
 from splatview.scene.captures import load_capture
-from splatview.scene.captures.capture import Capture, Photo, Pixels
+from splatview.scene.captures.capture import Capture, MaskUse, Photo, Pixels
 from splatview.scene.captures.demo import demo_cameras, demo_truth
 from splatview.scene.captures.nerfstudio import save_capture
 from splatview.scene.formats import load_scene
@@ -257,6 +257,36 @@ def from_above(wind: float) -> Callable[[Path, Path], None]:
     return make
 
 
+def photographs_cut_out(name: str, downscale: int) -> Callable[[Path, Path], None]:
+    """Photographs of an object with masks by its colour, as a poor segmentation has them: its shadow and what
+    is beside it are in some, and its ends and stickers are not."""
+
+    def make(data: Path, folder: Path) -> None:
+        capture = load_capture(data / "captures" / name, downscale=downscale)
+        write(capture, folder)
+        for photo in capture.photos:
+            path = folder / "masks" / "images" / Path(photo.name).with_suffix(".png").name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yellow_parts(Image.fromarray(photo.image())).save(path)
+
+    return make
+
+
+YELLOW, LEAST_SATURATION, LEAST_VALUE = (15, 60), 90, 30
+"""Hues, and the least of the others, of 255."""
+
+
+def yellow_parts(photo: Image.Image) -> Image.Image:
+    """White where a photo is yellow, black elsewhere; without what is narrower than 5 px."""
+    hue, saturation, value = np.moveaxis(np.asarray(photo.convert("HSV")), -1, 0)
+    is_yellow = (hue > YELLOW[0]) & (hue < YELLOW[1]) & (saturation > LEAST_SATURATION)
+    mask = Image.fromarray(np.where(is_yellow & (value > LEAST_VALUE), 255, 0).astype(np.uint8))
+    larger, smaller = ImageFilter.MaxFilter, ImageFilter.MinFilter
+    for step in (larger(9), smaller(9), smaller(5), larger(5)):
+        mask = mask.filter(step)
+    return mask
+
+
 def moved(scene: Gaussians, camera: Camera, rng: np.random.Generator) -> np.ndarray:
     """The mean of pictures along a short way: a photo taken by a hand in motion, some 4 px long."""
     _, radius = bulk(scene)
@@ -295,8 +325,12 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "biker room 40": ("choose", outdoors(sky_scenes.biker_indoors, 40)),
     "guitar sky 24": ("judge", outdoors(sky_scenes.guitar_outdoors, 24)),
     "guitar room 24": ("judge", outdoors(sky_scenes.guitar_indoors, 24)),
+    "banana cut out": ("judge", photographs_cut_out("banana", 2)),
 }
-"""Name -> what it is for, and what renders it."""
+"""Name -> what it is for, and what renders it, or masks it."""
+
+CUT_OUT = ("banana cut out",)
+"""Whose masks say where nothing is."""
 
 
 @dataclass(frozen=True)
@@ -409,7 +443,8 @@ def bench_capture(
         if not (made / name / "whole").exists():
             raise SystemExit(f"{name}: {made / name} has no posed photos: see public_captures.py")
         return load_capture(made / name, downscale=(downscale or PUBLIC[name].downscale) * smaller)
-    return load_capture(folder_of(name, made), downscale=smaller)
+    masks: MaskUse = "cut-out" if name in CUT_OUT else "ignore"
+    return load_capture(folder_of(name, made), downscale=smaller, masks=masks)
 
 
 def bench_split(

@@ -71,6 +71,8 @@ def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> f
     for view in views:
         opacity = photo_opacity(name, made, view.camera)
         if opacity is None:
+            opacity = getattr(view, "alpha", None)  # cut out by a mask
+        if opacity is None:
             return None
         drawn = draw_frame(parameters, view.camera, settings, Workspace()).image[..., 3]
         if (opacity == 0).any():
