@@ -492,7 +492,7 @@ def _longest(settings: TrainSettings) -> Effect:
         name=LONGEST,
         on=is_on,
         why=why if is_on else "of any length, as asked for",
-        saving=Saving(what="a look at the scales of what each photo shows, after its step"),
+        saving=Saving(what="a look at the scales of what photos show, in some of the steps"),
     )
 
 

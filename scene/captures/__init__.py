@@ -33,7 +33,8 @@ def load_capture(
     sorted name, starting with the first, is held out unless the capture says which.
 
     Raises:
-        InputError: there is no capture, or a part of it is damaged or does not fit the rest.
+        InputError: there is no capture, or a part of it is damaged or does not fit the rest; or masks are to
+            cut out, and there are none.
         Cancelled: nobody waits for it any more.
     """
     if not (callable(downscale) or (downscale >= 1 and downscale == int(downscale))):
