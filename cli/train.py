@@ -268,7 +268,8 @@ def _undisturbed() -> Iterator[None]:
 def make_parser() -> Parser:
     parser = Parser(
         "train",
-        "Trains a scene on the photos of CAPTURE: a folder with a COLMAP model or a transforms.json.\n\n"
+        "Trains a scene on the photos of CAPTURE: a folder with a COLMAP model, a transforms.json\n"
+        "or a poses_bounds.npy.\n\n"
         "A window shows the scene as it grows; closing it saves what was trained.\n\n"
         "Every 8th photo is held out and measured by. Beside the scene are written a checkpoint, from\n"
         "which --resume goes on, and held-out photos side by side with what the scene shows.\n\n"

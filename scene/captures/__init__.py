@@ -11,6 +11,7 @@ import numpy as np
 from splatview.scene.captures.assemble import FILE_NAME, capture_name, capture_of, read_camera_list
 from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse, MaskUse, PosedPhotos
 from splatview.scene.captures.colmap import find_colmap, find_part_of_colmap, read_colmap
+from splatview.scene.captures.llff import POSES_BOUNDS, read_poses_bounds
 from splatview.scene.captures.nerfstudio import find_transforms, read_transforms
 from splatview.scene.errors import InputError
 from splatview.scene.progress import NO_PROGRESS, Progress
@@ -25,7 +26,7 @@ def load_capture(
     masks: MaskUse = "ignore",
     progress: Progress = NO_PROGRESS,
 ) -> Capture:
-    """The capture in a folder, or by its .json file; all photos are read once, so that damage shows early.
+    """The capture in a folder, or by its .json or .npy file; all photos are read once, so that damage shows early.
 
     Photos become floor(w / downscale) x floor(h / downscale) by averaging areas, and `downscale` may choose
     by what the capture says before its photos are read, or raise; `lens` says what is done about distortion,
@@ -65,6 +66,8 @@ def read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
         if path.name == FILE_NAME:
             return path.parent, read_camera_list(path.parent, path)
         return path.parent, read_transforms(path.parent, [(path, None)], progress)
+    if path.name == POSES_BOUNDS and os.path.isfile(path):
+        return path.parent, read_poses_bounds(path.parent, path, progress)
     if not os.path.isdir(path):
         problem = "is no capture; name its folder" if os.path.lexists(path) else "no such folder"
         raise InputError(f"{path}: {problem}")
@@ -76,6 +79,8 @@ def read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
         return path, read_transforms(path, transforms, progress)
     if os.path.isfile(path / FILE_NAME):
         return path, read_camera_list(path, path / FILE_NAME)
+    if os.path.isfile(path / POSES_BOUNDS):
+        return path, read_poses_bounds(path, path / POSES_BOUNDS, progress)
     part = find_part_of_colmap(path)
     if part is not None:
         raise InputError(
@@ -83,5 +88,5 @@ def read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
         )
     raise InputError(
         f"{path}: holds no capture: neither a COLMAP model (sparse/0) nor transforms.json, "
-        f"transforms_train.json or {FILE_NAME}; photos alone need poses first, by COLMAP say"
+        f"transforms_train.json, {FILE_NAME} or {POSES_BOUNDS}; photos alone need poses first, by COLMAP say"
     )

@@ -79,7 +79,7 @@ def read_colmap(folder: Path, model: Path, progress: Progress) -> PosedPhotos:
             )
         )
     check_photos(paths[1], photos.root, entries, missing)
-    points, colours = _points(model)
+    points, colours = read_points(model)
     return PosedPhotos(
         source=paths[1],
         images=photos.root,
@@ -117,7 +117,7 @@ def _held_out_names(model: Path) -> set[str] | None:
     return {tidy_name(line.strip()) for line in lines if line.strip()}
 
 
-def _points(model: Path) -> tuple[np.ndarray, np.ndarray]:
+def read_points(model: Path) -> tuple[np.ndarray, np.ndarray]:
     """``points3D`` as (P, 3) float64 and (P, 3) uint8; empty where the model has none. Raises InputError."""
     for suffix, parse in ((".bin", _points_binary), (".txt", _points_text)):
         path = model / f"points3D{suffix}"

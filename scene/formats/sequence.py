@@ -32,7 +32,7 @@ a mean, a background, another format of the same."""
 
 PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".heic")
 
-NERF = ("transforms.json", "transforms_train.json")
+NERF = ("transforms.json", "transforms_train.json", "poses_bounds.npy")
 """Files that make a folder a capture: photos with cameras, not scenes."""
 
 

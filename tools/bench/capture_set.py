@@ -329,7 +329,7 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
 }
 """Name -> what it is for, and what renders it, or masks it."""
 
-CUT_OUT = ("banana cut out",)
+CUT_OUT = ("banana cut out", *(name for name, capture in PUBLIC.items() if capture.cut_out))
 """Whose masks say where nothing is."""
 
 
@@ -439,11 +439,12 @@ def bench_capture(
         return part_of(whole, part.photos, part.spread)
     if name in REAL:
         return load_capture(data / "captures" / name, downscale=(downscale or REAL[name].downscale) * smaller)
+    masks: MaskUse = "cut-out" if whole_of(name) in CUT_OUT else "ignore"
     if name in PUBLIC:
         if not (made / name / "whole").exists():
             raise SystemExit(f"{name}: {made / name} has no posed photos: see public_captures.py")
-        return load_capture(made / name, downscale=(downscale or PUBLIC[name].downscale) * smaller)
-    masks: MaskUse = "cut-out" if name in CUT_OUT else "ignore"
+        factor = (downscale or PUBLIC[name].downscale) * smaller
+        return load_capture(made / name, downscale=factor, masks=masks)
     return load_capture(folder_of(name, made), downscale=smaller, masks=masks)
 
 

@@ -12,6 +12,7 @@ them is part of this repository.
 from __future__ import annotations
 
 import argparse
+import io
 import shutil
 import subprocess
 from collections.abc import Mapping
@@ -19,9 +20,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 PHOTOS = (".jpg", ".jpeg", ".png")
 
 TRANSFORMS = "transforms_train.json"
+
+POSES_BOUNDS = "poses_bounds.npy"
+
+LIBERTY = "vork/StatueOfLiberty-Photogrammetry"
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,10 @@ class PublicCapture:
     commit: str = "HEAD"
     """Of the repository, that has the photos."""
     poses: str = ""
-    """Folder of the model in the repository, by which its owner posed them; empty: they are posed here."""
+    """Folder of the model in the repository, by which its owner posed them, or POSES_BOUNDS; empty: they are
+    posed here."""
+    cut_out: bool = False
+    """Whether the repository has masks, in a folder of their own, that say where nothing is."""
     every: int = 1
     """One of so many photos, by name, is used."""
     rendered: bool = False
@@ -74,6 +84,10 @@ PUBLIC = {
     "chair": PublicCapture("judge", "rounak890/nerf_data", "train", 4, rendered=True),
     "queen": PublicCapture("judge", "bartoszek/test_colmap", "dense/0/images", 2, poses="dense/0/sparse"),
     "fern": PublicCapture("choose", "luo-ziyuan/CopyRNeRF-code", "data/nerf_llff_data/fern/images", 8),
+    "liberty": PublicCapture("choose", LIBERTY, "images", 4, poses=POSES_BOUNDS, cut_out=True),
+    "mother": PublicCapture(
+        "choose", "vork/mother_child-photogrammetry", "images", 16, poses=POSES_BOUNDS, cut_out=True
+    ),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
@@ -81,7 +95,8 @@ a shore from a drone; another doll; a stone head on a table; a computer mouse be
 monument in a park; things on boxes before a cloth, by nine cameras side by side; a tree on a table in a
 room (Barron et al. 2022); a house of bricks, from all its sides (Hane et al. 2013); two of the transparent
 renderings by which NeRF was first measured (Mildenhall et al. 2020), at a quarter of their size; a clay
-figurine on paper; a palm in a hall, seen from 20 places side by side (Mildenhall et al. 2019)."""
+figurine on paper; a palm in a hall, seen from 20 places side by side (Mildenhall et al. 2019); a statue in
+many people's photos, in any weather, and a small sculpture, both cut out by masks (Boss et al. 2021)."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:
@@ -93,6 +108,13 @@ def git_folder(clones: Path, repository: str) -> Path:
     raise SystemExit(f"{clone}: no clone of {repository}")
 
 
+def missing_objects(git: Path, commit: str) -> set[str]:
+    """Names of the objects that a clone lists without holding them."""
+    words = ("git", "-C", git, "rev-list", "--objects", commit, "--missing=print")
+    listed = subprocess.run(words, check=True, capture_output=True).stdout.decode().splitlines()
+    return {line[1:] for line in listed if line.startswith("?")}
+
+
 def extract(
     git: Path, commit: str, folder: str, out: Path, endings: tuple[str, ...] = PHOTOS, every: int = 1
 ) -> int:
@@ -102,11 +124,7 @@ def extract(
     def ask(*words: str) -> bytes:
         return subprocess.run(["git", "-C", git, *words], check=True, capture_output=True).stdout
 
-    missing = {
-        line[1:]
-        for line in ask("rev-list", "--objects", commit, "--missing=print").decode().splitlines()
-        if line.startswith("?")
-    }
+    missing = missing_objects(git, commit)
     out.mkdir(parents=True, exist_ok=True)
     listed = ask("ls-tree", "-z", commit, *([f"{folder}/"] if folder else [])).decode().split("\0")
     found = [line.split("\t") for line in listed if line.lower().endswith(endings)]
@@ -114,6 +132,21 @@ def extract(
     for blob, path in found[::every]:
         (out / Path(path).name).write_bytes(ask("cat-file", "blob", blob))
     return len(found[::every])
+
+
+def extract_bounds(git: Path, capture: PublicCapture, folder: Path) -> str:
+    """Writes the rows of POSES_BOUNDS for the photos that are there, by the names of all, and says how many
+    these are; points of a model beside them, too."""
+
+    def ask(*words: str) -> bytes:
+        return subprocess.run(["git", "-C", git, *words], check=True, capture_output=True).stdout
+
+    names = ask("ls-tree", "--name-only", f"{capture.commit}:{capture.folder}").decode().splitlines()
+    rows = np.load(io.BytesIO(ask("cat-file", "blob", f"{capture.commit}:{POSES_BOUNDS}")))
+    kept = [i for i, name in enumerate(sorted(names)) if (folder / "images" / name).exists()]
+    np.save(folder / POSES_BOUNDS, rows[kept])
+    points = extract(git, capture.commit, "sparse/0", folder / "sparse" / "0", (".bin",))
+    return f"{len(kept)} of {len(rows)} poses, {points} files of points"
 
 
 def pose(folder: Path, capture: PublicCapture) -> str:
@@ -183,9 +216,13 @@ def main() -> None:
         git = git_folder(options.clones, capture.repository)
         images = folder / (Path(capture.folder).name if capture.rendered else "images")
         count = extract(git, capture.commit, capture.folder, images, every=capture.every)
+        if capture.cut_out:
+            extract(git, capture.commit, "masks", folder / "masks")
         if capture.rendered:
             beside = capture.folder.rpartition("/")[0]
             posed = f"{extract(git, capture.commit, beside, folder, (TRANSFORMS,))} file of poses"
+        elif capture.poses == POSES_BOUNDS:
+            posed = extract_bounds(git, capture, folder)
         elif capture.poses:
             model = folder / "sparse" / "0"
             posed = f"{extract(git, capture.commit, capture.poses, model, ('.bin',))} files of poses"

@@ -264,6 +264,14 @@ LOADERS: tuple[Loader, ...] = (
         around=_photos,
     ),
     Loader(
+        name="capture_poses_bounds",
+        file="poses_bounds.npy",
+        seeds=whole.poses_bounds,
+        call=_load_folder,
+        around=_photos,
+        words=[b"'descr'", b"'shape'", b"'fortran_order'", b"<f8", b"|O", b"(3, 17)", b"(3, 17,)", b"(99999999999, 17)"],
+    ),
+    Loader(
         name="capture_points_ply",
         file="points3d.ply",
         seeds=whole.plys,

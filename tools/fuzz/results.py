@@ -15,7 +15,7 @@ FAMILIES = {
     "packed scenes": ("scene_",),
     "captures, COLMAP and transforms": (
         *("capture_cameras", "capture_points_bin", "capture_points_txt", "capture_held_out"),
-        *("capture_transforms", "capture_camera_list"),
+        *("capture_transforms", "capture_camera_list", "capture_poses_bounds"),
     ),
     "photos, masks and panoramas": ("capture_photo", "capture_mask", "panorama"),
     "recipes, replayed too, and journals": ("recipe", "journal"),

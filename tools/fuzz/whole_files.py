@@ -318,6 +318,20 @@ def transforms_files() -> list[bytes]:
     ]
 
 
+def poses_bounds() -> list[bytes]:
+    """Of three photos, in the dtypes and byte orders that numpy writes."""
+    rows = np.zeros((3, 17))
+    rows[:, :15] = np.c_[np.diag([-1.0, 1, 1])[[1, 0, 2]].T, [0, 0, 4], [SIDE, SIDE, 9.66]].ravel()
+    rows[:, 3] = 0, 0.1, 0.2
+    rows[:, 15:] = 1, 9
+    files = []
+    for array in (rows, rows.astype(">f8"), rows.astype(np.float32), np.asfortranarray(rows)):
+        file = io.BytesIO()
+        np.save(file, array)
+        files.append(file.getvalue())
+    return files
+
+
 def photos() -> list[bytes]:
     forms = [
         ("RGB", "PNG"),
