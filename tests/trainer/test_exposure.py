@@ -16,6 +16,7 @@ from splatview.trainer.evaluate import evaluate
 from splatview.trainer.exposure import (
     Evidence,
     Exposures,
+    angle_between,
     fitted,
     fitted_by_tiles,
     log_gain,
@@ -139,6 +140,44 @@ def test_shine_is_no_exposure() -> None:
     assert evidence.spread > 0.03 and not evidence.calls_for_correction
     by_colour = Evidence(spread=0.2, error=0.01, unevenness=2.5)
     assert not by_colour.calls_for_correction and "2.5 times more in one colour" in str(by_colour)
+
+
+def test_photos_from_the_same_place_tell_exposure_from_shine() -> None:
+    """Light that changes from photo to photo leaves much that no gain explains, as shine does."""
+    gains = np.exp([0.5, -0.4, 0.3, -0.5, 0.4, -0.3, 0.2, -0.2])
+    changing = measured_evidence(*wall(gains, shine=0.6))
+    assert changing.spread < 15 * changing.error
+    assert changing.near > 0.3 and changing.calls_for_correction
+    assert "from nearly the same place by" in str(changing)
+    shining = measured_evidence(*wall(np.ones(8), shine=0.6))
+    assert shining.near < 0.1 and not shining.calls_for_correction
+    assert "same place" not in str(shining)
+
+
+def test_a_pair_from_the_same_place_is_too_few_to_tell() -> None:
+    points, photos = wall(np.exp([0.5, -0.4, 0.3]), shine=0.6)
+    assert measured_evidence(points, photos).near == 0
+    assert not Evidence(0.3, 0.1, 1.0, np.nan).calls_for_correction
+    assert not Evidence(0.02, 0.01, 1.0, 0.2).calls_for_correction
+
+
+def test_rays_of_two_cameras() -> None:
+    one, other = (look_at(eye, (0, 0, 0), width=8, height=8) for eye in ((0, 0, -2), (0, -2, 0)))
+    points = np.array([[0, 0, 0], [0, 0, 0.01], [0, 0, -0.01]])
+    assert angle_between(one, other, points) == pytest.approx(90, abs=0.1)
+    assert angle_between(one, one, points) == pytest.approx(0, abs=1e-4)
+    assert np.isnan(angle_between(one, other, one.eye[None]))
+
+
+def test_checkpoints_of_before_have_three_numbers() -> None:
+    exposures = Exposures(["a.png", "b.png"])
+    exposures.evidence = Evidence(0.2, 0.01, 1.1, 0.25)
+    state = exposures.state()
+    again = Exposures(["a.png", "b.png"])
+    again.restore(state)
+    assert again.evidence == exposures.evidence
+    again.restore(state | {"evidence": state["evidence"][:3]})
+    assert again.evidence == Evidence(0.2, 0.01, 1.1)
 
 
 def test_gains_that_leave_much_may_be_light() -> None:
