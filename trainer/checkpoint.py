@@ -136,10 +136,16 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
 
     ours, theirs = trainer.views.names(), checkpoint.photos
     if ours != theirs:
-        different = next((a for a, b in zip(ours, theirs, strict=False) if a != b), None)
-        about = f"{different[0]} is {different[1]}x{different[2]}" if different else f"there are {len(ours)}"
+        names, known = ({name for name, *_ in photos} for photos in (ours, theirs))
+        if lost := sorted(known - names):
+            about = f"{lost[0]} is not among them now"
+        elif more := sorted(names - known):
+            about = f"{more[0]} is among them now"
+        else:
+            name, *size = next((a for a, b in zip(ours, theirs, strict=False) if a != b), ours[0])
+            about = f"{name} is {size[0]}x{size[1]} now"
         raise InputError(
-            f"the checkpoint was trained on other photos ({about} now);"
+            f"the checkpoint was trained on other photos ({about});"
             " resume with the same capture and --downscale"
         )
     splats, optimizer = trainer.splats, trainer.optimizer

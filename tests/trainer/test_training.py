@@ -213,9 +213,18 @@ def test_checkpoints_of_other_photos_are_refused(make_trainer, views, start, tmp
     path = tmp_path / "run.safetensors"
     trainer = make_trainer()
     save_checkpoint(trainer, path)
-    other = Trainer(TrainViews(views[2:], 0), start, 3.0, trainer.settings)
-    with pytest.raises(InputError, match="other photos"):
-        restore(other, load_checkpoint(path))
+    kept = {view.camera.name for view in views[2:]}
+    name = min({name for name, *_ in trainer.views.names()} - kept)
+    fewer = Trainer(TrainViews(views[2:], 0), start, 3.0, trainer.settings)
+    with pytest.raises(InputError, match=rf"other photos \({name} is not among them now\)"):
+        restore(fewer, load_checkpoint(path))
+    save_checkpoint(fewer, path)
+    with pytest.raises(InputError, match=rf"other photos \({name} is among them now\)"):
+        restore(trainer, load_checkpoint(path))
+    half = Trainer(TrainViews([view.smaller(2) for view in trainer.views.all], 0), start, 3.0, trainer.settings)
+    save_checkpoint(half, path)
+    with pytest.raises(InputError, match=r"other photos \(\S+ is \d+x\d+ now\)"):
+        restore(trainer, load_checkpoint(path))
 
 
 def test_bad_checkpoints_are_one_clear_line(make_trainer, tmp_path: Path) -> None:
