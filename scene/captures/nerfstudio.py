@@ -60,13 +60,12 @@ def find_transforms(folder: Path) -> list[Frames]:
 
 def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> PosedPhotos:
     """The capture in `folder` by `files` of `find_transforms`. Raises InputError, Cancelled."""
-    photos, masks = Files(folder), Files(folder / "masks")
+    masks = Files(folder / "masks")
     entries, missing, ply_names = [], [], []
-    for path, held_out in files:
-        content = read_json(path, what="capture")
-        frames = content.get("frames") if isinstance(content, dict) else None
-        if not isinstance(frames, list):
-            raise InputError(f"{path}: is no capture: the list 'frames' is missing")
+    contents = [_content(path) for path, _ in files]
+    photos, lost = _photo_folder(folder, [frame for one in contents for frame in one["frames"]])
+    for (path, held_out), content in zip(files, contents, strict=True):
+        frames = content["frames"]
         held_out_names = _held_out_names(content, path)
         for i, frame in enumerate(frames):
             if i % AT_ONCE == 0:
@@ -74,17 +73,19 @@ def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> Po
             where = f"{path}: frame {i}"
             if not (isinstance(frame, dict) and isinstance(frame.get("file_path"), str)):
                 raise InputError(f"{where}: must be an object with the keys file_path, transform_matrix")
-            name = tidy_name(frame["file_path"])
-            photo = photos.photo(frame["file_path"])
+            listed, name = tidy_name(frame["file_path"]), tidy_name(_without(frame["file_path"], lost))
+            photo = photos.photo(name)
             if photo is None:
-                missing.append(name)
+                missing.append(listed)
                 continue
-            shot_held_out = held_out if held_out_names is None else name in held_out_names
-            values, where = {**content, **frame}, f"{where} ({excerpt(name)})"
+            shot_held_out = held_out if held_out_names is None else listed in held_out_names
+            values, where = {**content, **frame, "file_path": name}, f"{where} ({excerpt(name)})"
+            if isinstance(values.get("mask_path"), str):
+                values["mask_path"] = _without(values["mask_path"], lost)
             mask = _mask(values, where, photos, masks, name)
             entries.append(_shot(values, where, photo, mask, shot_held_out))
         if isinstance(content.get("ply_file_path"), str):
-            ply_names.append(content["ply_file_path"])
+            ply_names.append(_without(content["ply_file_path"], lost))
     check_photos(files[0][0], folder, entries, missing)
     points, colours, warnings = first_points(folder, ply_names, DEFAULT_POINTS)
     return PosedPhotos(
@@ -96,6 +97,45 @@ def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> Po
         point_colours=colours,
         warnings=warnings,
     )
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """What a file says, with a list of frames. Raises InputError."""
+    content = read_json(path, what="capture")
+    if not (isinstance(content, dict) and isinstance(content.get("frames"), list)):
+        raise InputError(f"{path}: is no capture: the list 'frames' is missing")
+    return content
+
+
+MOST_FOLDERS = 16
+"""In front of a photo's name, of which some may be left out."""
+
+
+def _photo_folder(folder: Path, frames: list[Any]) -> tuple[Files, int]:
+    """Where the photos are, and how many folders in front of their names are not there: files often name
+    photos from the root of the machine that wrote them, or were moved since. The fewest left out with which a
+    photo is found, in the capture's folder first; none where two frames would have one photo."""
+    places = [Files(folder), Files(folder / "images"), Files(folder / "input")]
+    names = [frame.get("file_path") for frame in frames if isinstance(frame, dict)]
+    names = [name for name in names if isinstance(name, str)]
+    depth = min(max((len(_parts(name)) for name in names), default=1), MOST_FOLDERS)
+    for lost in range(depth):
+        for place in places:
+            found = [place.photo(_without(name, lost)) for name in names]
+            there = [photo for photo in found if photo is not None]
+            if there and (lost == 0 or len(set(there)) == len(there)):
+                return place, lost
+    return places[0], 0
+
+
+def _parts(name: str) -> list[str]:
+    return name.replace("\\", "/").split("/")
+
+
+def _without(name: str, lost: int) -> str:
+    """A name without so many of its folders, from the front; its last part at least."""
+    parts = _parts(name)
+    return "/".join(parts[min(lost, len(parts) - 1) :]) if lost else name
 
 
 def _held_out_names(content: Mapping[str, Any], path: Path) -> set[str] | None:

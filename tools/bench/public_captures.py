@@ -88,6 +88,7 @@ PUBLIC = {
     "mother": PublicCapture(
         "choose", "vork/mother_child-photogrammetry", "images", 16, poses=POSES_BOUNDS, cut_out=True
     ),
+    "cat": PublicCapture("judge", "J-Aurora052/cattoy", "data/images", 4, poses="data/sparse"),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
@@ -96,7 +97,8 @@ monument in a park; things on boxes before a cloth, by nine cameras side by side
 room (Barron et al. 2022); a house of bricks, from all its sides (Hane et al. 2013); two of the transparent
 renderings by which NeRF was first measured (Mildenhall et al. 2020), at a quarter of their size; a clay
 figurine on paper; a palm in a hall, seen from 20 places side by side (Mildenhall et al. 2019); a statue in
-many people's photos, in any weather, and a small sculpture, both cut out by masks (Boss et al. 2021)."""
+many people's photos, in any weather, and a small sculpture, both cut out by masks (Boss et al. 2021); a toy
+cat whose photos are transparent around it."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:

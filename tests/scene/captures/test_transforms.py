@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from splatview.scene import Gaussians
+from splatview.scene import Gaussians, InputError
 from splatview.scene.captures import load_capture
 from splatview.scene.formats import save_scene
 from splatview.scene.sh import rgb_to_sh
@@ -224,3 +224,53 @@ def test_missing_photos_are_named(tmp_path, frames, photos, transforms):
     capture = load_capture(tmp_path)
     assert len(capture.photos) == 8
     assert f"1 of 9 photos are not in {tmp_path} and are left out: images/4.png" in capture.warnings
+
+
+@pytest.mark.parametrize(
+    "named",
+    [
+        "/home/somebody/work/scene/images/{}.png",
+        "C:\\Users\\somebody\\scene\\images\\{}.png",
+        "../somewhere/{}.png",
+        "{}.png",
+        "./moved/here/{}",
+    ],
+)
+def test_photos_named_from_where_they_no_longer_are(tmp_path, frames, photos, transforms, pixels_of, named):
+    for i, frame in enumerate(frames):
+        frame["file_path"] = named.format(i)
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS, test_filenames=[named.format(3)])
+    capture = load_capture(tmp_path)
+    assert len(capture.photos) == 9
+    assert [photo.name.removesuffix(".png")[-1] for photo in capture.held_out] == ["3"]
+    np.testing.assert_array_equal(capture.photos[5].image(), pixels_of(5))
+
+
+def test_masks_of_photos_named_so(tmp_path, frames, photos, transforms, png):
+    for i, frame in enumerate(frames):
+        png(tmp_path / f"masks/{i}.png", np.full((30, 40), 255 if i != 4 else 0, np.uint8))
+        frame["file_path"] = f"/home/somebody/scene/images/{i}.png"
+        if i == 4:
+            frame["mask_path"] = f"/home/somebody/scene/masks/{i}.png"
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS)
+    capture = load_capture(tmp_path)
+    assert [photo.name for photo in capture.photos] == [f"images/{i}.png" for i in range(9) if i != 4]
+    assert capture.statistics.masks == 9
+
+
+def test_one_photo_for_two_frames_is_none(tmp_path, frames, photos, transforms):
+    """Names that only their folders tell apart are not cut to what they have in common."""
+    for i, frame in enumerate(frames):
+        frame["file_path"] = f"/home/somebody/{'ab'[i % 2]}/{i // 2}.png"
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS)
+    with pytest.raises(InputError, match="none of its 9 photos is in"):
+        load_capture(tmp_path)
+
+
+def test_photos_that_are_where_they_say_come_first(tmp_path, frames, photos, transforms, png, pixels_of):
+    png(tmp_path / "0.png", pixels_of(77))
+    frames[1]["file_path"] = "/home/somebody/scene/images/1.png"
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS)
+    capture = load_capture(tmp_path)
+    assert "1 of 9 photos are not in" in capture.warnings[0]
+    np.testing.assert_array_equal(capture.photos[0].image(), pixels_of(0))
