@@ -26,7 +26,7 @@ def load_capture(
     masks: MaskUse = "ignore",
     progress: Progress = NO_PROGRESS,
 ) -> Capture:
-    """The capture in a folder, or by its .json or .npy file; all photos are read once, so that damage shows early.
+    """The capture in a folder, or by its .json or .npy file; all photos are read once, so damage shows early.
 
     Photos become floor(w / downscale) x floor(h / downscale) by averaging areas, and `downscale` may choose
     by what the capture says before its photos are read, or raise; `lens` says what is done about distortion,

@@ -38,21 +38,21 @@ SMALLER = "images_"
 """How folders of smaller copies begin; the factor follows."""
 
 SHAPE_TOLERANCE = 0.02
-"""Relative difference of a photo's scales across and down from the size that was posed: the smaller copies are
-rounded, 1008x756 of 4032x3024 and 504x378 without a rest, 378 of 3025 with one."""
+"""Relative difference of a photo's scales across and down from the size that was posed: smaller copies are
+rounded to whole pixels."""
 
 
 def read_poses_bounds(folder: Path, path: Path, progress: Progress) -> PosedPhotos:
-    """The capture in `folder` by the poses at `path`. Points are those of a COLMAP model that lies there without
-    its images, for LLFF leaves COLMAP's world as it is. Raises InputError, Cancelled."""
+    """The capture in `folder` by the poses at `path`. Points are those of a COLMAP model that lies there
+    without its images, for LLFF leaves COLMAP's world as it is. Raises InputError, Cancelled."""
     rows = _rows(path)
     images, names = _photos(folder, len(rows))
     if not names:
         check_photos(path, images, (), [f"photo {i + 1}" for i in range(len(rows))])
     if len(names) != len(rows):
         raise InputError(
-            f"{path}: has {len(rows)} poses for {len(names)} photos in {images} ({some(names)}); poses are told"
-            " by the order of names alone, so all of these photos must be there, and no others"
+            f"{path}: has {len(rows)} poses for {len(names)} photos in {images} ({some(names)}); poses are"
+            " told by the order of names alone, so all of these photos must be there, and no others"
         )
     masks, entries = Files(folder / "masks"), []
     for i, (name, row) in enumerate(zip(names, rows, strict=True)):
@@ -127,8 +127,8 @@ def _camera(columns: np.ndarray, photo: Path, name: str) -> Camera:
     misfit, size = min((abs(w / width / (h / height) - 1), (w, h)) for w, h in (stored, stored[::-1]))
     if not misfit <= SHAPE_TOLERANCE:
         raise ValueError(
-            f"the photo has {stored[0]}x{stored[1]} px, which is no smaller copy of the {width:g}x{height:g} px"
-            " that were posed"
+            f"the photo has {stored[0]}x{stored[1]} px, which is no smaller copy of the {width:g}x{height:g}"
+            " px that were posed"
         )
     matrix = np.eye(4)
     matrix[:3, :3] = right, down, -backward

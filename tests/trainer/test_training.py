@@ -221,7 +221,9 @@ def test_checkpoints_of_other_photos_are_refused(make_trainer, views, start, tmp
     save_checkpoint(fewer, path)
     with pytest.raises(InputError, match=rf"other photos \({name} is among them now\)"):
         restore(trainer, load_checkpoint(path))
-    half = Trainer(TrainViews([view.smaller(2) for view in trainer.views.all], 0), start, 3.0, trainer.settings)
+    half = Trainer(
+        TrainViews([view.smaller(2) for view in trainer.views.all], 0), start, 3.0, trainer.settings
+    )
     save_checkpoint(half, path)
     with pytest.raises(InputError, match=r"other photos \(\S+ is \d+x\d+ now\)"):
         restore(trainer, load_checkpoint(path))

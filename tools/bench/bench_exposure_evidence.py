@@ -2,8 +2,8 @@
 
     python tools/bench/bench_exposure_evidence.py DATA MADE [--captures NAME ...]
 
-Seconds for each capture: photos are compared with one another, nothing is trained. Captures that are not there
-are passed over, and what a call has measured before is kept.
+Seconds for each capture: photos are compared with one another, nothing is trained. Captures that are not
+there are passed over, and what a call has measured before is kept.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from splatview.trainer.views import train_views
 NOTE = (
     "Photos trained on in split 0. Differ: standard deviation of the photos' log gains. Known to: what gains "
     "leave unexplained. Uneven: ratio of the colours that differ most and least. Nearly the same place: "
-    f"median log ratio of photos from there, where there are {FEWEST_NEAR} such pairs that differ. The rules were chosen on "
-    "captures marked so, and are only judged by the others."
+    f"median log ratio of photos from there, where there are {FEWEST_NEAR} such pairs that differ. The rules "
+    "were chosen on captures marked so, and are only judged by the others."
 )
 
 
@@ -36,7 +36,12 @@ def measured(name: str, data: Path, made: Path) -> dict[str, Any] | None:
     found = measured_evidence(capture.points, train_views(capture.train), capture.background or (0, 0, 0))
     if not found.error < float("inf"):
         return None
-    return {"capture": name, "photos": len(capture.train), **found._asdict(), "on": found.calls_for_correction}
+    return {
+        "capture": name,
+        "photos": len(capture.train),
+        **found._asdict(),
+        "on": found.calls_for_correction,
+    }
 
 
 def table(runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -48,7 +53,16 @@ def table(runs: dict[str, dict[str, Any]]) -> dict[str, Any]:
         ]
         for name, run in ((name, runs[name]) for name in NAMES if name in runs)
     ]
-    columns = ["capture", "rules", "photos", "differ", "known to", "uneven", "nearly the same place", "decided"]
+    columns = [
+        "capture",
+        "rules",
+        "photos",
+        "differ",
+        "known to",
+        "uneven",
+        "nearly the same place",
+        "decided",
+    ]
     return {"columns": columns, "rows": rows, "note": NOTE}
 
 

@@ -269,7 +269,16 @@ LOADERS: tuple[Loader, ...] = (
         seeds=whole.poses_bounds,
         call=_load_folder,
         around=_photos,
-        words=[b"'descr'", b"'shape'", b"'fortran_order'", b"<f8", b"|O", b"(3, 17)", b"(3, 17,)", b"(99999999999, 17)"],
+        words=[
+            b"'descr'",
+            b"'shape'",
+            b"'fortran_order'",
+            b"<f8",
+            b"|O",
+            b"(3, 17)",
+            b"(3, 17,)",
+            b"(99999999999, 17)",
+        ],
     ),
     Loader(
         name="capture_points_ply",

@@ -136,7 +136,10 @@ def _question(app: AppState) -> None:
 def _form(app: AppState, *, closes: bool = True) -> None:
     state = app.feature(TrainingStart)
     folder = printable(str(state.folder)) if state.folder is not None else "No folder yet"
-    widgets.label("Photos", "A folder with a COLMAP model (sparse/0), a transforms.json or a poses_bounds.npy, and its photos.")
+    widgets.label(
+        "Photos",
+        "A folder with a COLMAP model (sparse/0), a transforms.json or a poses_bounds.npy, and its photos.",
+    )
     change = "Choose..." if state.folder is None else "Change..."
     room = imgui.get_content_region_avail().x - imgui.calc_text_size(change).x - 3 * imgui.get_font_size()
     imgui.text_unformatted(path_in(folder, room))

@@ -134,7 +134,13 @@ def array_bytes() -> bytes:
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"\x93NUMPY", array_bytes()[:400], array_bytes().replace(b"1024", b"9999"), b"PK\x03\x04" + bytes(99)],
+    [
+        b"",
+        b"\x93NUMPY",
+        array_bytes()[:400],
+        array_bytes().replace(b"1024", b"9999"),
+        b"PK\x03\x04" + bytes(99),
+    ],
 )
 def test_damaged_file(capture_of, data):
     (capture_of / "poses_bounds.npy").write_bytes(data)
