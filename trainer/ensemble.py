@@ -68,7 +68,7 @@ split 0 of `miku 12 near` has 31.25 dB and an SSIM of 0.935 in place of 31.50 an
 
 MET_AT = 0.6
 """Share of the first scene at which it is decided whether `shorter` ones follow: then the loss of photos that
-can be met well is below `full_reg_loss`, and the end has not begun.
+can be met well is below `met_loss`, and the end has not begun.
 
 Dropped: three scenes and a last one, of 80 to 100 steps per photo each, in one minute: the splits of `miku
 12 far` 23.88, 20.50 and 19.84 dB in place of 24.44, 20.74 and 18.69 (means of three runs), two of `kermit`
@@ -217,7 +217,11 @@ class EnsembleTrainer(Trainer):
         photos, steps = len(self.views.taken), self.counters.iteration / self.scene_progress
         shorter = self.settings.shorter[0] if self.settings.shorter else 0
         least = min(LEAST_CUT * photos, LEAST_SHORTER * shorter)
-        self._take(short=photos >= LEAST_PHOTOS and steps >= least and self.need_of_reg == 1)
+        self._take(short=photos >= LEAST_PHOTOS and steps >= least and not self.meets_photos)
+
+    @property
+    def meets_photos(self) -> bool:
+        return self.state.get("photo_loss", 0.0) < self.settings.met_loss
 
     def _take(self, *, short: bool) -> None:
         self.is_short, self.is_short_decided = short, True

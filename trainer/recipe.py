@@ -116,6 +116,26 @@ Dropped: twice as much where photos are transparent, which tell what is empty. C
 near` -0.5 and -0.4. Dropped too: in proportion to the square, 38.19 on `guitar RGBA 24`.
 """
 
+MET_OF_OBJECTS = 0.035
+"""Of the share of the photos' pixels that show an object: the loss below which these are met well. The loss
+is a mean over all pixels, most of which are empty and right at once, so that `FULL_REG_LOSS` tells nothing.
+
+After three fifths of a scene of 2,769 steps it is 0.047 and 0.054 of that share on `banana cut out` (splits 0
+and 1), whose masks contradict one another, and 0.028 on `playbot RGBA 18`, which was rendered. Three minutes
+of one long scene, and of two or three so short and a last one: 27.98 and 29.18, 29.23 and 31.01 dB, 31.32 and
+31.18 (chosen on these). Judged by `mother`, whose masks agree (0.024): 33.13 and 32.68 dB.
+
+Dropped: `FULL_REG_LOSS` times that share, so that regularisers stay where masks are poor: `banana cut out`
+27.98 and 28.23 dB after three minutes, `mother` 33.13 and 33.16, but `guitar RGBA 24` 40.15 and 39.53 after
+one, `playbot RGBA 18` 31.18 and 30.98, `biker front 24` 42.92 and 42.00."""
+
+
+def automatic_met_loss(covered: float, everywhere: bool) -> float:
+    """A sensible `met_loss` for photos that show something in this share of their pixels, see
+    `TrainViews.covered`; `everywhere`: see `automatic_steps`."""
+    return FULL_REG_LOSS if everywhere else MET_OF_OBJECTS * covered
+
+
 LEAST_DROPOUT, MOST_DROPOUT = 0.05, 0.2
 """The second is that of Park et al. 2025, for 3 to 24 photos."""
 
@@ -257,9 +277,12 @@ there should be time for, or the steps per photo where one long scene does not f
 each of several scenes at most."""
 
 
-def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> int | None:
+def automatic_shorter(
+    photos: int, steps: int, minutes: float, threads: int, unmet: int | None = None
+) -> int | None:
     """Steps of each of several scenes of so many photos, where `steps` for each are too many for the minutes
-    and fewer are not; None: `steps`, or one scene alone.
+    and fewer are not; None: `steps`, or one scene alone. `unmet`: for photos of an object, the steps that
+    others have, which are enough for these too where they are not met well, see `MET_OF_OBJECTS`.
 
     Unless photos are met well: then a long one still learns. Ten minutes of the bench, split 0 each, by one
     long scene and by two or three short ones and a last: `statue` (21 photos, a loss of 0.067) 19.14 and
@@ -283,9 +306,15 @@ def automatic_shorter(photos: int, steps: int, minutes: float, threads: int) -> 
     minutes: `miku 12 far` 21.73 and 21.96, `kermit` 18.81 and 19.15, but `bust` 18.93 and 18.42.
     """
     budget = STEPS_OF_A_MINUTE * minutes * min(threads, MOST_THREADS) / 2 / LEAST_SCENES
+    if unmet is not None:
+        fewer = min(unmet, round(budget), MOST_SHORTER)
+        return fewer if min(LEAST_UNMET, unmet) <= budget and fewer < steps else None
     least = LEAST_CUT * photos if LEAST_SCENES * budget < steps else LEAST_SHORTER * steps
     return min(MOST_SHORTER, steps) if least <= budget < steps else None
 
+
+LEAST_UNMET = 2_000
+"""Of the steps of photos of an object, that there should be time for: none had fewer that were tried."""
 
 LEAST_SCENES = 3.25
 """Scenes that there must be time for where several are trained: two and one that learns from them, and some

@@ -25,6 +25,7 @@ from splatview.trainer.free_space import (
     MOST_OF_ONE,
 )
 from splatview.trainer.loss import SSIM_WEIGHT
+from splatview.trainer.recipe import FULL_REG_LOSS
 from splatview.trainer.strategies import STRATEGIES, StrategySettings
 from splatview.trainer.strategies.ops import PAPER_ITERATIONS
 
@@ -144,6 +145,8 @@ class TrainSettings(StrategySettings):
     shorter: tuple[int, int] | None = None
     """Steps and splats of each of several scenes, where there is no time for several of `iterations` and
     `max_splats`, unless photos are met well; None: those. See `recipe.automatic_shorter`."""
+    met_loss: float = FULL_REG_LOSS
+    """Photo loss, a running mean, below which photos are met well. See `recipe.automatic_met_loss`."""
     visible_only: bool = True
     """Whether Adam moves only the splats that reach into the photo; False: all, by their averages."""
 
@@ -277,6 +280,7 @@ WITHOUT_WORD = {
     "few_views_rounds": 0.0,
     "ensemble": 1,
     "shorter": None,
+    "met_loss": FULL_REG_LOSS,
 }
 """Fields that older checkpoints do not have, as their runs went."""
 

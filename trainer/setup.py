@@ -60,6 +60,7 @@ from splatview.trainer.recipe import (
     automatic_far_from,
     automatic_limit,
     automatic_max_aspect,
+    automatic_met_loss,
     automatic_regularisation,
     automatic_sh_divisor,
     automatic_shorter,
@@ -116,7 +117,8 @@ def settings_for(
         fields["background"] = backdrop.colour if backdrop else capture.background or (0.0, 0.0, 0.0)
         if not says_empty:
             fields.setdefault("surround", automatic_surround(views.all, shown))
-    weight = automatic_regularisation(photos, views.covered(fields["background"]))
+    covered = views.covered(fields["background"])
+    weight = automatic_regularisation(photos, covered)
     sizes = [(view.camera.width, view.camera.height) for view in views.all]
     levels = automatic_levels(sizes, minutes, threads)
     along = fields.get("resolution", levels)
@@ -130,8 +132,9 @@ def settings_for(
     # Where there is no time for all pixels of one scene, there is none for several: three minutes of `fern`,
     # 17 photos of 1344x1008 px, have 23.70 dB by one, 22.61 by two and a last one (chosen); judged by `queen`
     # of 1000x658 px, 22.56 and 20.46 (shorter.json).
-    if few_steps is not None and timed is not None and everywhere and levels == HALF_THE_SIZE:
-        fewer = automatic_shorter(photos, few_steps, timed, threads)
+    if few_steps is not None and timed is not None and levels == HALF_THE_SIZE:
+        unmet = None if everywhere else automatic_steps(photos, True, shown)
+        fewer = automatic_shorter(photos, few_steps, timed, threads, unmet)
     automatic: dict[str, Any] = {
         "batch": batch,
         "opacity_reg": weight,
@@ -139,6 +142,7 @@ def settings_for(
         "full_reg_loss": FULL_REG_LOSS,
         "dropout": automatic_dropout(photos),
         "ensemble": MEMBERS if few_steps is not None and timed is not None else 1,
+        "met_loss": automatic_met_loss(covered, everywhere),
         "shorter": fewer and (fewer, min(limit, automatic_limit(pixels, timed, fewer, once))),
         "max_aspect": automatic_max_aspect(photos),
         "max_size": automatic_max_size(says_empty),

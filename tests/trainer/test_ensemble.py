@@ -32,7 +32,15 @@ from splatview.trainer.ensemble import (
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.memory import Machine, PhotoSizes, run_memory
 from splatview.trainer.plugin import LossPlugin
-from splatview.trainer.recipe import MEMBERS, PICTURES, automatic_shorter, pictures_taught
+from splatview.trainer.recipe import (
+    FULL_REG_LOSS,
+    MEMBERS,
+    MET_OF_OBJECTS,
+    PICTURES,
+    automatic_met_loss,
+    automatic_shorter,
+    pictures_taught,
+)
 from splatview.trainer.run import Outputs, RunProgress, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for, train
@@ -450,9 +458,9 @@ def test_scenes_are_shorter_where_there_is_no_time_for_several_long_ones(make: M
 
 def test_photos_that_are_met_well_have_one_long_scene(make: Make) -> None:
     """More steps teach it more: nothing is learnt by heart for want of photos that contradict it."""
-    trainer = make(**SHORT, full_reg_loss=10.0)
+    trainer = make(**SHORT, met_loss=10.0)
     run(trainer, lambda: trainer.is_short_decided)
-    assert not trainer.is_short and trainer.need_of_reg < 1
+    assert not trainer.is_short and trainer.meets_photos
     assert trainer.strategy.settings.max_splats == 200
     run(trainer, lambda: trainer.done)
     assert trainer.counters.iteration == STEPS and len(trainer.members) == 1
@@ -491,7 +499,7 @@ def test_an_end_of_ones_own_is_that_of_every_scene(make: Make) -> None:
 
 
 def test_a_checkpoint_knows_how_long_scenes_are(make: Make, tmp_path: Path) -> None:
-    for settings, steps in ((SHORT, 4 * STEPS // 2), (SHORT | {"full_reg_loss": 10.0}, STEPS)):
+    for settings, steps in ((SHORT, 4 * STEPS // 2), (SHORT | {"met_loss": 10.0}, STEPS)):
         trainer = make(**settings)
         run(trainer, lambda trainer=trainer: trainer.is_short_decided)
         save_checkpoint(trainer, tmp_path / "a.safetensors")
@@ -521,6 +529,37 @@ def test_how_short_scenes_are() -> None:
     assert automatic_shorter(12, 3_866, minutes=3, threads=2) == 3_866  # as many as there is time for
     assert automatic_shorter(12, 3_866, minutes=4.5, threads=2) is None
     assert automatic_shorter(10, 4_650, minutes=3, threads=2) is None
+
+
+def test_how_short_scenes_of_an_object_are() -> None:
+    """As long as those of photos that show something everywhere, where there is time, and never so short that
+    nobody has tried."""
+    assert automatic_shorter(10, 6_000, minutes=1, threads=2, unmet=4_650) is None
+    assert automatic_shorter(10, 6_000, minutes=3, threads=2, unmet=4_650) == 2_769
+    assert automatic_shorter(10, 6_000, minutes=10, threads=2, unmet=4_650) == 4_200
+    assert automatic_shorter(6, 3_600, minutes=1, threads=2, unmet=1_800) is None
+    assert automatic_shorter(6, 3_600, minutes=3, threads=2, unmet=1_800) == 1_800
+    assert automatic_shorter(26, 15_600, minutes=3, threads=2, unmet=15_600) == 2_769
+    assert automatic_shorter(5, 3_000, minutes=10, threads=2, unmet=3_000) is None  # these are as few
+
+
+def test_how_well_photos_of_an_object_are_to_be_met() -> None:
+    """By the loss where they show something: what is empty is right at once."""
+    assert automatic_met_loss(1.0, everywhere=True) == FULL_REG_LOSS
+    assert automatic_met_loss(0.2, everywhere=False) == pytest.approx(MET_OF_OBJECTS / 5)
+
+
+def test_photos_of_an_object_may_have_shorter_scenes(views: list[TrainView], start: Parameters) -> None:
+    alpha = np.zeros(views[0].pixels.shape[:2], np.uint8)
+    alpha[:, : alpha.shape[1] // 4] = 255
+    cut = [replace(view, alpha=alpha) for view in views[:10]]
+    colours = np.full((len(start.means), 3), 128, np.uint8)
+    capture = replace(capture_of(cut, start.means.astype(float), colours), background=(0.0, 0.0, 0.0))
+    settings = settings_for(capture, TrainViews(cut, 0), minutes=3.0, threads=2)
+    assert settings.shorter is not None and settings.shorter[0] == 2_769
+    assert settings.met_loss == pytest.approx(MET_OF_OBJECTS / 4, rel=0.1)
+    whole = settings_for(capture, TrainViews(cut, 0), minutes=1.0, threads=2)
+    assert whole.shorter is None and whole.iterations == settings.iterations
 
 
 def test_large_photos_leave_no_time_for_several_scenes(start: Parameters) -> None:
