@@ -308,7 +308,8 @@ def automatic_shorter(
     budget = STEPS_OF_A_MINUTE * minutes * min(threads, MOST_THREADS) / 2 / LEAST_SCENES
     if unmet is not None:
         fewer = min(unmet, round(budget), MOST_SHORTER)
-        return fewer if min(LEAST_UNMET, unmet) <= budget and fewer < steps else None
+        least = max(min(LEAST_UNMET, unmet), LEAST_CUT * photos)
+        return fewer if least <= budget and fewer < steps else None
     least = LEAST_CUT * photos if LEAST_SCENES * budget < steps else LEAST_SHORTER * steps
     return min(MOST_SHORTER, steps) if least <= budget < steps else None
 

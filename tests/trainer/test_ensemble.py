@@ -539,7 +539,8 @@ def test_how_short_scenes_of_an_object_are() -> None:
     assert automatic_shorter(10, 6_000, minutes=10, threads=2, unmet=4_650) == 4_200
     assert automatic_shorter(6, 3_600, minutes=1, threads=2, unmet=1_800) is None
     assert automatic_shorter(6, 3_600, minutes=3, threads=2, unmet=1_800) == 1_800
-    assert automatic_shorter(26, 15_600, minutes=3, threads=2, unmet=15_600) == 2_769
+    assert automatic_shorter(23, 13_800, minutes=3, threads=2, unmet=13_800) == 2_769
+    assert automatic_shorter(24, 14_400, minutes=3, threads=2, unmet=14_400) is None  # 120 for each at least
     assert automatic_shorter(5, 3_000, minutes=10, threads=2, unmet=3_000) is None  # these are as few
 
 

@@ -325,7 +325,7 @@ RENDERED: dict[str, tuple[Use, Callable[[Path, Path], None]]] = {
     "biker room 40": ("choose", outdoors(sky_scenes.biker_indoors, 40)),
     "guitar sky 24": ("judge", outdoors(sky_scenes.guitar_outdoors, 24)),
     "guitar room 24": ("judge", outdoors(sky_scenes.guitar_indoors, 24)),
-    "banana cut out": ("judge", photographs_cut_out("banana", 2)),
+    "banana cut out": ("choose", photographs_cut_out("banana", 2)),
 }
 """Name -> what it is for, and what renders it, or masks it."""
 
