@@ -14,12 +14,13 @@ import numpy as np
 from splatview.scene import Camera, Gaussians, InputError
 from splatview.scene.camera import likely_ups
 from splatview.scene.captures import read_poses
+from splatview.scene.captures.colmap import find_colmap
 from splatview.scene.captures.nerfstudio import find_transforms
 from splatview.scene.edits import SELECTED, SceneEdits, bake, shown
 from splatview.scene.errors import one_line
 from splatview.scene.formats import load_cameras
 from splatview.scene.formats.cameras import camera_values, is_orthographic, lens_of
-from splatview.scene.formats.colmap import is_colmap
+from splatview.scene.formats.sequence import NERF
 from splatview.scene.framing import SAMPLE, bulk
 from splatview.scene.progress import Progress
 from splatview.viewer.loading import Reading
@@ -308,7 +309,8 @@ class CameraLists(Feature):
 
 def read_camera_list(path: Path, progress: Progress) -> CameraList:
     notes: list[str] = []
-    if os.path.isdir(path) and (find_transforms(path) or not is_colmap(path)):
+    is_folder = os.path.isdir(path)
+    if (is_folder and (find_transforms(path) or find_colmap(path) is None)) or path.name in NERF:
         cameras = [entry.camera for entry in read_poses(path, progress)[1].entries]
     else:
         cameras = load_cameras(path, on_note=notes.append, progress=progress)

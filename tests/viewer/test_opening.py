@@ -16,11 +16,11 @@ from splatview.scene.background import Panorama
 from splatview.scene.demo import demo_scene
 from splatview.scene.formats import cameras as cameras_module
 from splatview.scene.formats import save_camera, save_scene
-from splatview.scene.progress import Cancelled
+from splatview.scene.progress import NO_PROGRESS, Cancelled
 from splatview.viewer import background, loading
 from splatview.viewer import open as opening
 from splatview.viewer.background import WindowBackground
-from splatview.viewer.camera import CameraLists, camera_text, common_up
+from splatview.viewer.camera import CameraLists, camera_text, common_up, read_camera_list
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.first_views import nearest_axis
 from splatview.viewer.navigation import orbit
@@ -380,3 +380,33 @@ def test_what_was_assumed_of_a_file_is_told(app, tmp_path, random_gaussians, wai
     open_paths(app, [tmp_path / "a.spz"])
     wait_for_loading(app)
     assert any("its frame is RUB" in message.text for message in app.messages)
+
+
+def test_cameras_of_a_folder_of_photos_in_any_format(tmp_path):
+    """What may be trained on may be flown along: LLFF's poses beside a part of a COLMAP model, the list of the
+    3DGS trainer, and a file of poses by its name."""
+    cameras = [look_at((3 * np.sin(a), 0, 3 * np.cos(a)), (0, 0, 0), width=8, height=6) for a in range(4)]
+    llff, listed = tmp_path / "llff", tmp_path / "listed"
+    for folder in (llff, listed):
+        (folder / "images").mkdir(parents=True)
+        for i in range(4):
+            Image.new("RGB", (8, 6)).save(folder / f"images/{i}.png")
+    rows = []
+    for camera in cameras:
+        right, down, forward = camera.R_camera_world
+        size = np.array([camera.height, camera.width, camera.fx])
+        rows.append(np.r_[np.stack([down, right, -forward, camera.eye, size], axis=1).ravel(), 1, 9])
+    np.save(llff / "poses_bounds.npy", rows)
+    (llff / "sparse" / "0").mkdir(parents=True)
+    (llff / "sparse" / "0" / "cameras.txt").write_text("1 PINHOLE 8 6 7 7 4 3\n")
+    entries = [
+        {"img_name": f"{i}.png", "width": 8, "height": 6, "fx": camera.fx, "fy": camera.fy, "id": i}
+        | {"position": camera.eye.tolist(), "rotation": camera.R_camera_world.T.tolist()}
+        for i, camera in enumerate(cameras)
+    ]
+    (listed / "cameras.json").write_text(json.dumps(entries))
+    for path in (llff, llff / "poses_bounds.npy", listed):
+        found = read_camera_list(path, NO_PROGRESS).cameras
+        assert len(found) == 4
+        for ours, theirs in zip(found, cameras, strict=True):
+            np.testing.assert_allclose(ours.world_to_camera, theirs.world_to_camera, atol=1e-12)
