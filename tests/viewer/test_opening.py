@@ -383,8 +383,8 @@ def test_what_was_assumed_of_a_file_is_told(app, tmp_path, random_gaussians, wai
 
 
 def test_cameras_of_a_folder_of_photos_in_any_format(tmp_path):
-    """What may be trained on may be flown along: LLFF's poses beside a part of a COLMAP model, the list of the
-    3DGS trainer, and a file of poses by its name."""
+    """What may be trained on may be flown along: LLFF's poses beside a part of a COLMAP model, the list of
+    the 3DGS trainer, and a file of poses by its name."""
     cameras = [look_at((3 * np.sin(a), 0, 3 * np.cos(a)), (0, 0, 0), width=8, height=6) for a in range(4)]
     llff, listed = tmp_path / "llff", tmp_path / "listed"
     for folder in (llff, listed):
