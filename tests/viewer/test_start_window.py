@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import pytest
 from PIL import Image
@@ -58,6 +59,7 @@ def test_the_file_browser(drive, scene_file, tmp_path, random_gaussians):
 
 def test_the_start_screen_and_a_training_from_it(drive, capture, tmp_path):
     output = tmp_path / "trained.ply"
+    capture = shutil.copytree(capture, tmp_path / capture.name)  # others have it without masks
     photos = sorted(capture.rglob("*.png"))
     (capture / "masks").mkdir()
     for photo in photos:
