@@ -60,7 +60,7 @@ def find_transforms(folder: Path) -> list[Frames]:
 
 def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> PosedPhotos:
     """The capture in `folder` by `files` of `find_transforms`. Raises InputError, Cancelled."""
-    masks = Files(folder / "masks")
+    whole, masks = Files(folder), Files(folder / "masks")
     entries, missing, ply_names = [], [], []
     contents = [_content(path) for path, _ in files]
     photos, lost = _photo_folder(folder, [frame for one in contents for frame in one["frames"]])
@@ -80,12 +80,11 @@ def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> Po
                 continue
             shot_held_out = held_out if held_out_names is None else listed in held_out_names
             values, where = {**content, **frame, "file_path": name}, f"{where} ({excerpt(name)})"
-            if isinstance(values.get("mask_path"), str):
-                values["mask_path"] = _without(values["mask_path"], lost)
-            mask = _mask(values, where, photos, masks, name)
+            mask = _mask(values, where, whole, masks, name, lost)
             entries.append(_shot(values, where, photo, mask, shot_held_out))
         if isinstance(content.get("ply_file_path"), str):
-            ply_names.append(_without(content["ply_file_path"], lost))
+            listed = content["ply_file_path"]
+            ply_names.append(listed if whole.photo(listed) else _without(listed, lost))
     check_photos(files[0][0], folder, entries, missing)
     points, colours, warnings = first_points(folder, ply_names, DEFAULT_POINTS)
     return PosedPhotos(
@@ -168,14 +167,19 @@ def _shot(
     )
 
 
-def _mask(values: Mapping[str, Any], where: str, files: Files, masks: Files, name: str) -> Path | None:
-    if isinstance(values.get("mask_path"), str):
-        mask = files.photo(values["mask_path"])
-        if mask is None:
-            raise InputError(f"{where}: the mask {excerpt(values['mask_path'])} is not in {files.root}")
-        return mask
+def _mask(
+    values: Mapping[str, Any], where: str, files: Files, masks: Files, name: str, lost: int
+) -> Path | None:
     # Photos are named from the capture's folder, masks from that of the photos.
-    return masks.mask(name) or masks.mask(name.partition("/")[2] or name)
+    by_name = masks.mask(name) or masks.mask(name.partition("/")[2] or name)
+    listed = values.get("mask_path")
+    if not isinstance(listed, str):
+        return by_name
+    # Some writers name photos from the root of their machine, and masks from the capture.
+    found = files.photo(listed) or files.photo(_without(listed, lost)) or (by_name if lost else None)
+    if found is None:
+        raise InputError(f"{where}: the mask {excerpt(listed)} is not in {files.root}")
+    return found
 
 
 def _world_to_camera(values: Mapping[str, Any], where: str) -> np.ndarray:

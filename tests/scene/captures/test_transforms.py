@@ -258,6 +258,39 @@ def test_masks_of_photos_named_so(tmp_path, frames, photos, transforms, png):
     assert capture.statistics.masks == 9
 
 
+@pytest.mark.parametrize(
+    "named", ["clouds/points.ply", "/home/somebody/scene/clouds/points.ply", "points.ply"]
+)
+def test_points_of_photos_named_so(tmp_path, frames, photos, transforms, named):
+    lines = ["ply", "format ascii 1.0", "element vertex 5"]
+    lines += [f"property float {name}" for name in "xyz"]
+    lines += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    there = tmp_path / ("clouds/points.ply" if "clouds" in named else named)
+    there.parent.mkdir(exist_ok=True)
+    there.write_text("\n".join([*lines, "end_header", *(f"{i} 1 2 9 0 255" for i in range(5))]) + "\n")
+    for i, frame in enumerate(frames):
+        frame["file_path"] = f"/home/somebody/scene/images/{i}.png"
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS, ply_file_path=named)
+    capture = load_capture(tmp_path)
+    assert capture.warnings == () and len(capture.points) == 5
+
+
+@pytest.mark.parametrize("named", ["masks/{}.png", "/home/somebody/scene/cut/{}.png", "{}.png"])
+def test_masks_of_photos_in_another_folder(tmp_path, frames, photos, transforms, png, named):
+    """The photos are in images, where no name leads; masks are named from the capture, or by what is gone."""
+    for i, frame in enumerate(frames):
+        png(tmp_path / f"masks/{i}.png", np.full((30, 40), 255 if i != 4 else 0, np.uint8))
+        frame |= {"file_path": f"/data/{i}.png", "mask_path": named.format(i)}
+    transforms(tmp_path / "transforms.json", frames, **INTRINSICS)
+    capture = load_capture(tmp_path)
+    assert [photo.name for photo in capture.photos] == [f"{i}.png" for i in range(9) if i != 4]
+    frames[2]["file_path"] = "images/2.png"
+    frames[2]["mask_path"] = "masks/none.png"
+    transforms(tmp_path / "transforms.json", frames[2:3] * 2, **INTRINSICS)
+    with pytest.raises(InputError, match=r"the mask .*none\.png.* is not in"):
+        load_capture(tmp_path)
+
+
 def test_one_photo_for_two_frames_is_none(tmp_path, frames, photos, transforms):
     """Names that only their folders tell apart are not cut to what they have in common."""
     for i, frame in enumerate(frames):
