@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse,
 from splatview.scene.captures.colmap import find_colmap, find_part_of_colmap, read_colmap
 from splatview.scene.captures.llff import POSES_BOUNDS, read_poses_bounds
 from splatview.scene.captures.nerfstudio import find_transforms, read_transforms
+from splatview.scene.captures.photo_files import fitted_to_copies, unposed
 from splatview.scene.errors import InputError
 from splatview.scene.progress import NO_PROGRESS, Progress
 
@@ -60,8 +62,15 @@ POSES = 0.05
 
 
 def read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
-    """The folder of the capture and what it says. COLMAP first: of several models in one folder it is the
-    one that has points."""
+    """The folder of the capture and what it says, with cameras of the size of the photos' files. Raises
+    InputError, Cancelled."""
+    folder, posed = _read_poses(path, progress)
+    posed, note = fitted_to_copies(posed, progress), unposed(posed)
+    return folder, posed if note is None else replace(posed, warnings=[*posed.warnings, note])
+
+
+def _read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
+    """COLMAP first: of several captures in one folder it is the one that has points."""
     if os.path.isfile(path) and path.suffix.lower() == ".json":
         if path.name == FILE_NAME:
             return path.parent, read_camera_list(path.parent, path)

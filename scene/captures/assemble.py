@@ -27,6 +27,7 @@ from splatview.scene.captures.capture import (
     some,
     tidy_name,
 )
+from splatview.scene.captures.photo_files import photo_folders
 from splatview.scene.captures.photos import downscaled_size, read_pixels
 from splatview.scene.captures.points import MIN_POINTS, first_points, random_points
 from splatview.scene.errors import InputError
@@ -279,11 +280,11 @@ POINTS = ("input.ply", "points3d.ply")
 def read_camera_list(folder: Path, path: Path) -> PosedPhotos:
     """The capture in `folder` by the list of cameras at `path`. Raises InputError.
 
-    The list gives the photos' names, with or without suffix, but not where they are: looked at are
-    ``images``, ``input`` and the folder itself.
+    The list gives the photos' names, with or without suffix, but not where they are: see
+    `photo_folders`.
     """
     cameras = load_cameras(path)
-    places = [Files(place) for place in (folder / "images", folder / "input", folder)]
+    places = [Files(place) for place in photo_folders(folder)]
     photos = next((p for p in places if any(p.photo(camera.name) for camera in cameras)), places[0])
     masks = Files(folder / "masks")
     entries, missing = [], []

@@ -9,12 +9,14 @@ from __future__ import annotations
 import io
 import os
 import struct
+from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from splatview.scene.captures.capture import AT_ONCE, Files, PosedPhoto, PosedPhotos, check_photos, tidy_name
+from splatview.scene.captures.photo_files import photo_folders
 from splatview.scene.errors import InputError
 from splatview.scene.formats.colmap import find_model, image_camera, image_lens, read_cameras, read_images
 from splatview.scene.formats.io import excerpt, open_regular
@@ -32,12 +34,82 @@ _POINT = np.dtype(
 """Fixed part of a point; two uint32 for each image in its track follow."""
 
 
-def find_colmap(folder: Path) -> Path | None:
-    """The folder of the model in a capture's folder; None where there is none."""
+DISTORTED = "distorted/sparse"
+"""Where the 3DGS trainer keeps models of photos whose lens is still in them."""
+
+LEAST_IMAGE_BYTES = 64
+"""That ``images.bin`` has for each image, its name aside."""
+
+
+class Model(NamedTuple):
+    folder: Path
+    photos: int = 0
+    """That have a pose in it; 0 where nobody looked."""
+    others: Mapping[Path, int] = {}
+    """Those beside it that have a photo, and larger ones of before lenses were taken out: a reconstruction
+    that falls apart leaves several, and programs go on with the first, which may have two photos."""
+
+    @property
+    def warnings(self) -> list[str]:
+        """A line about models that are not used."""
+        if not self.others:
+            return []
+        others = ", ".join(f"{path} ({count})" for path, count in self.others.items())
+        return [
+            f"{self.folder} is trained on, with poses of {self.photos} photos; there are others, which train"
+            f" when they are named: {others}"
+        ]
+
+
+def find_colmap(folder: Path) -> Model | None:
+    """The model in a capture's folder, of several in ``sparse`` the one with most photos, the first of such;
+    None where there is none."""
     for name in MODEL_FOLDERS:
-        if any(os.path.isfile(folder / name / f"images{suffix}") for suffix in (".bin", ".txt")):
-            return folder / name
+        found = folder / name
+        if not name.endswith("/0"):
+            if _images_file(found) is None:
+                continue
+            return Model(found)
+        counts = {model: _photos_of(model) for model in _models_in(found.parent)}
+        if not counts:
+            continue
+        most = max(counts, key=lambda model: counts[model])
+        others = {model: count for model, count in counts.items() if count and model != most}
+        before = {model: _photos_of(model) for model in _models_in(folder / DISTORTED)}
+        others |= {model: count for model, count in before.items() if count > counts[most]}
+        return Model(most, counts[most], others)
     return None
+
+
+def _models_in(folder: Path) -> list[Path]:
+    """Folders of models, as COLMAP numbers them."""
+    try:
+        names = [name for name in os.listdir(folder) if name.isdecimal()]
+    except OSError:
+        return []
+    return [folder / name for name in sorted(names, key=int) if _images_file(folder / name)]
+
+
+def _images_file(model: Path) -> Path | None:
+    files = (model / f"images{suffix}" for suffix in (".bin", ".txt"))
+    return next((file for file in files if os.path.isfile(file)), None)
+
+
+def _photos_of(model: Path) -> int:
+    """How many photos have a pose in a model; 0 where that cannot be told."""
+    path = _images_file(model)
+    if path is None:
+        return 0
+    try:
+        with open_regular(path) as file:
+            if path.suffix == ".bin":
+                count = int.from_bytes(file.read(8), "little")
+                return count if count * LEAST_IMAGE_BYTES <= path.stat().st_size else 0
+            # Two lines each, of which the second may be empty.
+            lines = [line for line in file.read(MAX_TEXT_BYTES).splitlines() if not line.startswith(b"#")]
+            return len(lines) // 2
+    except (OSError, InputError):
+        return 0
 
 
 def find_part_of_colmap(folder: Path) -> Path | None:
@@ -49,8 +121,9 @@ def find_part_of_colmap(folder: Path) -> Path | None:
     return None
 
 
-def read_colmap(folder: Path, model: Path, progress: Progress) -> PosedPhotos:
-    """The capture in `folder` whose model is in `model`, a folder. Raises InputError, Cancelled."""
+def read_colmap(folder: Path, found: Model, progress: Progress) -> PosedPhotos:
+    """The capture in `folder` whose model was `found`. Raises InputError, Cancelled."""
+    model = found.folder
     paths = find_model(model)
     intrinsics = read_cameras(paths[0])
     images = read_images(paths[1], progress.part(0.0, 0.5))
@@ -87,6 +160,7 @@ def read_colmap(folder: Path, model: Path, progress: Progress) -> PosedPhotos:
         missing=missing,
         points=points,
         point_colours=colours,
+        warnings=found.warnings,
     )
 
 
@@ -95,9 +169,9 @@ def _photo_folder(folder: Path, model: Path, names: list[str], progress: Progres
 
     The user may have named the capture or, deeper, its model.
     """
-    roots = list(dict.fromkeys((folder, model, *model.absolute().parents[:2])))
+    roots = list(dict.fromkeys((folder, model, *model.absolute().parents[:3])))
     for root in roots:
-        for photos in map(Files, (root / "images", root / "input", root)):
+        for photos in map(Files, photo_folders(root)):
             progress.check()
             if any(photos.photo(name) for name in names):
                 return root, photos

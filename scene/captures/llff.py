@@ -8,8 +8,6 @@ fifth height, width and focal length of the photos that were posed, px. A lens i
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +15,6 @@ import numpy as np
 from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import (
     AT_ONCE,
-    SUFFIXES,
     Files,
     PosedPhoto,
     PosedPhotos,
@@ -25,6 +22,7 @@ from splatview.scene.captures.capture import (
     some,
 )
 from splatview.scene.captures.colmap import find_part_of_colmap, read_points
+from splatview.scene.captures.photo_files import photo_folders, pictures_in
 from splatview.scene.captures.photos import image_size
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import require_regular_file
@@ -33,9 +31,6 @@ from splatview.scene.progress import Progress
 POSES_BOUNDS = "poses_bounds.npy"
 
 COLUMNS = 17
-
-SMALLER = "images_"
-"""How folders of smaller copies begin; the factor follows."""
 
 SHAPE_TOLERANCE = 0.02
 """Relative difference of a photo's scales across and down from the size that was posed: smaller copies are
@@ -88,33 +83,13 @@ def _photos(folder: Path, count: int) -> tuple[Path, list[str]]:
     """The folder of the photos and their names, sorted: the first that has as many as asked for, else the
     first that has any."""
     first: tuple[Path, list[str]] | None = None
-    for place in _photo_folders(folder):
-        names = sorted(_pictures(place))
+    for place in photo_folders(folder):
+        names = sorted(pictures_in(place))
         if len(names) == count:
             return place, names
         if names and first is None:
             first = place, names
     return first or (folder / "images", [])
-
-
-def _photo_folders(folder: Path) -> Iterator[Path]:
-    """Where photos may be, the largest first."""
-    yield from (folder / "images", folder / "input")
-    try:
-        found = [name for name in os.listdir(folder) if name.startswith(SMALLER)]
-    except OSError:
-        found = []
-    factors = {int(rest): name for name in found if (rest := name[len(SMALLER) :]).isdecimal()}
-    yield from (folder / factors[factor] for factor in sorted(factors))
-    yield folder
-
-
-def _pictures(folder: Path) -> list[str]:
-    try:
-        with os.scandir(folder) as entries:
-            return [one.name for one in entries if one.name.lower().endswith(SUFFIXES) and one.is_file()]
-    except OSError:
-        return []
 
 
 def _camera(columns: np.ndarray, photo: Path, name: str) -> Camera:

@@ -30,6 +30,7 @@ from splatview.scene.captures.capture import (
     check_photos,
     tidy_name,
 )
+from splatview.scene.captures.photo_files import photo_folders
 from splatview.scene.captures.photos import image_size
 from splatview.scene.captures.points import first_points
 from splatview.scene.errors import InputError
@@ -114,7 +115,7 @@ def _photo_folder(folder: Path, frames: list[Any]) -> tuple[Files, int]:
     """Where the photos are, and how many folders in front of their names are not there: files often name
     photos from the root of the machine that wrote them, or were moved since. The fewest left out with which a
     photo is found, in the capture's folder first; none where two frames would have one photo."""
-    places = [Files(folder), Files(folder / "images"), Files(folder / "input")]
+    places = [Files(place) for place in dict.fromkeys((folder, *photo_folders(folder)))]
     names = [frame.get("file_path") for frame in frames if isinstance(frame, dict)]
     names = [name for name in names if isinstance(name, str)]
     depth = min(max((len(_parts(name)) for name in names), default=1), MOST_FOLDERS)

@@ -49,6 +49,22 @@ def stored_size(image: Image.Image) -> tuple[int, int]:
     )
 
 
+LEAST_FACTOR = 1.25
+"""Between a photo and a copy. What differs by less may be a photo whose lens was taken out and one where it
+was not, which no factor makes alike."""
+
+
+def are_copies(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two sizes, px, differ by one factor, LEAST_FACTOR or more; to a pixel each way, for it is
+    rounded up or down."""
+    small, large = sorted((one, other))
+    if not min(small) >= 2:
+        return False
+    least = max(big / (little + 1) for little, big in zip(small, large, strict=True))
+    most = min(big / (little - 1) for little, big in zip(small, large, strict=True))
+    return least < most and large[0] >= LEAST_FACTOR * small[0]
+
+
 def as_posed(image: Image.Image, size: tuple[int, int]) -> Image.Image:
     """The image as it is stored, or, where only that is (width, height) `size`, the way up that EXIF says.
 
@@ -356,13 +372,17 @@ def _deep_grey(values: np.ndarray) -> np.ndarray:
 def _decode_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
     try:
         with open_image(path) as file:
-            _check_header(path, file, size)
+            stored = stored_size(file)
+            if not are_copies(stored, size):
+                _check_header(path, file, size)
             image = as_posed(file, size)
-            _check_size(path, image.size, size)
-            if "A" in image.getbands() and image.getextrema()[-1] != (255, 255):
-                # Cut-outs: what is transparent is ignored, whatever colour lies under it.
-                return np.asarray(image.getchannel("A")) >= MASK_THRESHOLD
-            return np.asarray(image.convert("L")) >= MASK_THRESHOLD
+            if not are_copies(image.size, size):
+                _check_size(path, image.size, size)
+            # Cut-outs: what is transparent is ignored, whatever colour lies under it.
+            transparent = "A" in image.getbands() and image.getextrema()[-1] != (255, 255)
+            shown = image.getchannel("A") if transparent else image.convert("L")
+            shown = shown if shown.size == size else shown.resize(size, Image.Resampling.BOX)
+            return np.asarray(shown) >= MASK_THRESHOLD
     except Exception as error:
         raise _undecodable(path, error) from None
 

@@ -82,13 +82,13 @@ def with_one_photo(folder: Path) -> None:
         photo.unlink()
 
 
-def with_a_larger_photo(folder: Path) -> None:
-    Image.new("RGB", (96, 80)).save(folder / "images" / "view_4.png")
+def with_a_wider_photo(folder: Path) -> None:
+    Image.new("RGB", (96, 40)).save(folder / "images" / "view_4.png")
 
 
-def with_a_smaller_mask(folder: Path) -> None:
+def with_a_narrower_mask(folder: Path) -> None:
     (folder / "masks").mkdir()
-    Image.new("L", (24, 20)).save(folder / "masks" / "view_4.png.png")
+    Image.new("L", (24, 40)).save(folder / "masks" / "view_4.png.png")
 
 
 def with_black_masks(folder: Path) -> None:
@@ -113,8 +113,8 @@ def with_json(text: str) -> Damage:
         (without_photos, "none of its 20 photos is in"),
         (without_poses, "holds no images"),
         (with_one_photo, "only one photo (view_0.png) is left"),
-        (with_a_larger_photo, "view_4.png: is 96x80 pixels, but its camera says 48x40"),
-        (with_a_smaller_mask, "view_4.png.png: is 24x20 pixels, but its camera says 48x40"),
+        (with_a_wider_photo, "view_4.png: is 96x40 pixels, but its camera says 48x40"),
+        (with_a_narrower_mask, "view_4.png.png: is 24x40 pixels, but its camera says 48x40"),
         (with_black_masks, "masks leave nothing"),
         (cut("view_7.png", 0.5), "view_7.png: is no readable image"),
         (cut("view_7.png", 0), "view_7.png: is no readable image"),
@@ -322,7 +322,7 @@ def test_what_is_left_out_is_named_and_the_rest_trained(
 
 
 def test_it_is_so_in_a_process_of_its_own(capture_folder: Path, tmp_path: Path) -> None:
-    with_a_larger_photo(capture_folder)
+    with_a_wider_photo(capture_folder)
     command = [sys.executable, "-c", "import sys; from splatview.cli.main import main; sys.exit(main())"]
     done = subprocess.run(
         [*command, "train", str(capture_folder), "--headless"], capture_output=True, cwd=tmp_path, check=False

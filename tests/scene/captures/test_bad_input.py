@@ -68,10 +68,10 @@ def test_another_size(tmp_path, colmap_capture, png, pixels_of):
     assert "p03.png: is 41x30 pixels, but its camera says 40x30" in message
 
 
-def test_mask_of_another_size(tmp_path, colmap_capture, png):
+def test_mask_of_another_shape(tmp_path, colmap_capture, png):
     colmap_capture(tmp_path)
-    png(tmp_path / "masks/p03.png", np.zeros((15, 20), np.uint8))
-    assert "masks/p03.png: is 20x15" in refused(tmp_path)
+    png(tmp_path / "masks/p03.png", np.zeros((20, 20), np.uint8))
+    assert "masks/p03.png: is 20x20" in refused(tmp_path)
 
 
 @pytest.mark.filterwarnings("ignore:Corrupt EXIF")
