@@ -49,9 +49,9 @@ def stored_size(image: Image.Image) -> tuple[int, int]:
     )
 
 
-LEAST_FACTOR = 1.25
+LEAST_FACTOR = 1.05
 """Between a photo and a copy. What differs by less may be a photo whose lens was taken out and one where it
-was not, which no factor makes alike."""
+was not, which no factor makes alike; taking out a lens that changes more does not change both ways alike."""
 
 
 def are_copies(one: tuple[int, int], other: tuple[int, int]) -> bool:

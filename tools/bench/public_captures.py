@@ -28,6 +28,8 @@ TRANSFORMS = "transforms_train.json"
 
 POSES_BOUNDS = "poses_bounds.npy"
 
+POSES_JSON = "transforms.json"
+
 LIBERTY = "vork/StatueOfLiberty-Photogrammetry"
 
 
@@ -48,8 +50,8 @@ class PublicCapture:
     commit: str = "HEAD"
     """Of the repository, that has the photos."""
     poses: str = ""
-    """Folder of the model in the repository, by which its owner posed them, or POSES_BOUNDS; empty: they are
-    posed here."""
+    """Folder of the model in the repository, by which its owner posed them, POSES_BOUNDS or POSES_JSON;
+    empty: they are posed here."""
     cut_out: bool = False
     """Whether the repository has masks, in a folder of their own, that say where nothing is."""
     every: int = 1
@@ -89,6 +91,9 @@ PUBLIC = {
         "choose", "vork/mother_child-photogrammetry", "images", 16, poses=POSES_BOUNDS, cut_out=True
     ),
     "cat": PublicCapture("judge", "J-Aurora052/cattoy", "data/images", 4, poses="data/sparse"),
+    "office": PublicCapture("judge", "antoniocarevic/diplomski123", "images", 4, poses=POSES_JSON),
+    "terrace": PublicCapture("judge", "Vincent7140/dataset_perso", "", 1, poses=POSES_JSON, every=2),
+    "fruit": PublicCapture("judge", "tusharparimi/fruit-NeRF", "newfruit_small", 2, poses=POSES_JSON),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
@@ -98,7 +103,8 @@ room (Barron et al. 2022); a house of bricks, from all its sides (Hane et al. 20
 renderings by which NeRF was first measured (Mildenhall et al. 2020), at a quarter of their size; a clay
 figurine on paper; a palm in a hall, seen from 20 places side by side (Mildenhall et al. 2019); a statue in
 many people's photos, in any weather, and a small sculpture, both cut out by masks (Boss et al. 2021); a toy
-cat whose photos are transparent around it."""
+cat whose photos are transparent around it; a room of an office, turned about in with a phone; a terrace
+before a desert, walked along with a camera; fruit on a sheet, by a phone."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:
@@ -225,6 +231,8 @@ def main() -> None:
             posed = f"{extract(git, capture.commit, beside, folder, (TRANSFORMS,))} file of poses"
         elif capture.poses == POSES_BOUNDS:
             posed = extract_bounds(git, capture, folder)
+        elif capture.poses == POSES_JSON:
+            posed = f"{extract(git, capture.commit, '', folder, (POSES_JSON,))} file of poses"
         elif capture.poses:
             model = folder / "sparse" / "0"
             posed = f"{extract(git, capture.commit, capture.poses, model, ('.bin',))} files of poses"
