@@ -279,10 +279,27 @@ def check_photos(source: Path, images: Path, entries: Sequence[PosedPhoto], miss
     if not entries and not missing:
         raise InputError(f"{source}: names no photos")
     if not entries:
+        found = _folder_beside(images, missing[0])
+        hint = "put them there" if found is None else f"{found} has one of that name: rename it to images"
         raise InputError(
             f"{source}: none of its {len(missing):,} photos is in {images} "
-            f"(the first is {some(missing[:1])}); put them there"
+            f"(the first is {some(missing[:1])}); {hint}"
         )
+
+
+def _folder_beside(images: Path, name: str) -> Path | None:
+    """A folder in the capture's, or in that of `images`, that has a photo of that name. It is told, not
+    taken: it may be one of masks or depths."""
+    file = name.rpartition("/")[2]
+    for root in (images, images.parent):
+        try:
+            folders = sorted(one.path for one in os.scandir(root) if one.is_dir())
+        except OSError:
+            continue
+        found = next((Path(one) for one in folders if Files(Path(one)).photo(file)), None)
+        if found is not None:
+            return found
+    return None
 
 
 NAMES_SHOWN = 5

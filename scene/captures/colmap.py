@@ -175,7 +175,9 @@ def _photo_folder(folder: Path, model: Path, names: list[str], progress: Progres
             progress.check()
             if any(photos.photo(name) for name in names):
                 return root, photos
-    return folder, Files(folder / "images")
+    whole = model.absolute()
+    whole = next((one.parent for one in (whole, whole.parent) if one.name == "sparse"), folder)
+    return whole, Files(whole / "images")
 
 
 def _held_out_names(model: Path) -> set[str] | None:

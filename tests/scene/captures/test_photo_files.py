@@ -182,3 +182,12 @@ def test_a_larger_model_of_photos_as_they_were_taken(tmp_path, colmap_capture, c
     (tmp_path / "images").rename(tmp_path / "undistorted")
     (tmp_path / "more/images").rename(tmp_path / "input")
     assert len(load_capture(larger).photos) == 9
+
+
+@pytest.mark.parametrize("named", ["", "sparse/0"])
+def test_photos_in_a_folder_of_another_name_are_told(tmp_path, colmap_capture, named):
+    colmap_capture(tmp_path)
+    (tmp_path / "images").rename(tmp_path / "my photos")
+    with pytest.raises(InputError) as caught:
+        load_capture(tmp_path / named)
+    assert f"{tmp_path / 'my photos'} has one of that name: rename it to images" in str(caught.value)
