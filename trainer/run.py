@@ -320,6 +320,8 @@ class TrainingRun:
                 self.on_note(f"{OUTLIERS}: {outliers.evidence}; --outliers off trains on them")
             elif disagreeing(outliers.correlations).any():
                 self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check their poses if they look wrong")
+            if outliers.doubt:
+                self.on_note(f"photos agree little: {outliers.doubt}")
         if watching and self.trainer.withheld.given_back:
             self.effects = with_withheld(self.effects, self.trainer.withheld)
             if self.trainer.withheld.settled_at:

@@ -179,7 +179,13 @@ def test_more_than_a_quarter_are_not_left_out() -> None:
 
 
 def noted(trainer: Trainer, folder: Path) -> tuple[list[str], Effect]:
-    """Lines for the user of a run to its end, and what its report says of photos left out."""
+    """Lines for the user about photos left out, once that is decided, and what the report says of them."""
+    notes, effect = told(trainer, folder)
+    return [note for note in notes if OUTLIERS in note], effect
+
+
+def told(trainer: Trainer, folder: Path) -> tuple[list[str], Effect]:
+    """All lines for the user until then, and the same."""
     outputs = Outputs(
         scene=folder / "s.ply", checkpoint=folder / "s.safetensors", metrics=None, pictures=folder / "p"
     )
@@ -187,7 +193,7 @@ def noted(trainer: Trainer, folder: Path) -> tuple[list[str], Effect]:
     run = TrainingRun(trainer, [], outputs, started=0.0, effects=(effect,), on_note=notes.append)
     while not trainer.outliers.is_decided:
         run.step()
-    return [note for note in notes if OUTLIERS in note], run.effects[0]
+    return notes, run.effects[0]
 
 
 def test_the_user_is_told_which_and_why(views, start, tmp_path: Path) -> None:
@@ -212,6 +218,18 @@ def test_too_many_that_disagree_are_told_of(views, start, tmp_path: Path, monkey
     (line,), effect = noted(trainer, tmp_path)
     assert "none; 6 of 20 photos agree less with the scene, too many or too near others to leave out" in line
     assert not effect.on and not trainer.outliers.left_out.any()
+
+
+def test_photos_whose_poses_are_all_wrong_are_doubted(views, start, tmp_path: Path) -> None:
+    order = np.random.default_rng(3).permutation(len(views))
+    photos = [
+        replace(view, camera=replace(views[k].camera, name=view.camera.name))
+        for view, k in zip(views, order, strict=True)
+    ]
+    notes = told(make_trainer(photos, start), tmp_path)[0]
+    (line,) = [note for note in notes if "photos agree little" in note]
+    assert "poses may be wrong, things may move" in line
+    assert not [note for note in told(make_trainer(views, start), tmp_path)[0] if "agree little" in note]
 
 
 def test_a_resumed_run_leaves_out_the_same(views, start, tmp_path: Path) -> None:
