@@ -69,7 +69,7 @@ from splatview.trainer.recipe import (
 from splatview.trainer.settings import PAPER_ITERATIONS, TrainSettings
 from splatview.trainer.shading import automatic_shading
 from splatview.trainer.sky import find_sky, with_sky
-from splatview.trainer.stereo import stereo_points, thinned
+from splatview.trainer.stereo import contracted, stereo_points, thinned
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
 
@@ -259,8 +259,17 @@ def start_points(
     known = capture.points, capture.point_colours
     if not _begins_by_stereo(capture, settings):
         return known
-    found = stereo_points(views.all, capture.points, threads=threads or 2, progress=progress)
-    found = thinned(*found, min(settings.max_splats, MOST_FOUND), seed=settings.seed)
+    threads = threads or 2
+    most, places = min(settings.max_splats, MOST_FOUND), None
+    found = np.empty((0, 3)), np.empty((0, 3), np.uint8)
+    if capture.guessed and mean_colour(views.all) is not None:
+        # An object is where all look; how far away a room or a street is no camera tells.
+        found = stereo_points(views.all, None, threads=threads, progress=progress.part(0.0, 0.8))
+        places = contracted(found[0], capture.middle, capture.scene_radius)
+        progress = progress.part(0.8, 1.0)
+    if len(found[0]) < LEAST_FOUND:
+        found, places = stereo_points(views.all, capture.points, threads=threads, progress=progress), None
+    found = thinned(*found, most, seed=settings.seed, places=places)
     count = len(found[0])
     if count < LEAST_FOUND:
         those = f"{len(known[0]):,} {'random points' if capture.guessed else 'points of the capture'}"

@@ -28,6 +28,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,6 +52,20 @@ of a choice of the points by chance, without and with stereo. Chosen: `banana` w
 
 PLANES = 96
 """Inverse depths that are tried."""
+
+BAND = 4.0
+"""Ratio of the depths that one sweep looks between at most, where no point tells how far away things are.
+Each has neighbours at good angles, and the best match is taken."""
+
+LEAST_OF_A_BAND = 0.02
+"""Of the points that a photo shows, by a first look, for which depths are looked at closely."""
+
+NEAREST_OF_PITCH = 1.4
+"""Nearest depth of that look, in distances of a camera to the next one: nearer things are seen at angles of
+more than MOST_ANGLE."""
+
+LEAST_SURVEYED = 500
+"""Points that such a look must find to go by."""
 
 SOURCES = 4
 """Neighbours that a photo is matched with, at most."""
@@ -102,36 +118,89 @@ class _Matched:
     """(2, H, 2) int32, where something can, see `stereo_kernels.spans_of`."""
 
 
+class _How(NamedTuple):
+    """How closely photos are matched."""
+
+    pixels: int
+    """Of a photo, about."""
+    tolerance: float
+    band: int | None = None
+    """Planes of a sweep between depths whose ratio is BAND; None: one sweep of PLANES."""
+    sources: int = SOURCES
+
+
+SURVEY, CLOSELY = _How(PIXELS // 4, 0.03, 32, 2), _How(PIXELS // 2, 0.015, 46)
+"""A first look at all depths, and one at those where it has found something. A pixel less each way moves by
+less from plane to plane, so that fewer do. With 64 planes in PIXELS stereo took 65 s in place of 21 on
+`terrace`, with these 17 (40 photos, two cores of an AMD EPYC).
+"""
+
+
 def stereo_points(
-    views: Sequence[TrainView], known: np.ndarray, *, threads: int = 2, progress: Progress = NO_PROGRESS
+    views: Sequence[TrainView],
+    known: np.ndarray | None,
+    *,
+    threads: int = 2,
+    progress: Progress = NO_PROGRESS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (P, 3) float64 and their colours (P, 3) uint8, on surfaces that photos agree about; there may be
     none. For equal arguments they are equal, whatever the threads.
 
-    `known`: (K, 3) points, random ones perhaps, between whose depths surfaces are looked for. Photos are
-    taken out of their lenses, and matched with those of their own size. Raises Cancelled.
+    `known`: (K, 3) points, random ones perhaps, between whose depths surfaces are looked for; None: at all
+    depths that cameras so far apart can tell, first in small photos, and then about what these have shown.
+    Photos are taken out of their lenses, and matched with those of their own size. Raises Cancelled.
     """
     usable = [view for view in views if not view.camera.orthographic]
     if len(usable) > MOST_PHOTOS:
         usable = [usable[i] for i in np.linspace(0, len(usable) - 1, MOST_PHOTOS).round().astype(int)]
     with ThreadPoolExecutor(max(threads, 1)) as pool:
-        photos = list(pool.map(_matched, usable))
+        if known is None:
+            found = _agreed(usable, None, SURVEY, pool, progress.part(0.0, 0.3))
+            if len(found[0]) < LEAST_SURVEYED:
+                return found
+            return _agreed(usable, found[0], CLOSELY, pool, progress.part(0.3, 1.0))
+        return _agreed(usable, known, _How(PIXELS, TOLERANCE), pool, progress)
 
-        def swept(at: int) -> tuple[np.ndarray, np.ndarray]:
-            progress.check()
-            return _swept(at, photos, known)
 
-        depths = []
-        for found in pool.map(swept, range(len(photos))):
-            depths.append(found)
-            progress.step(len(depths) / len(photos))
-        confirmed = list(pool.map(lambda at: _confirmed(at, photos, depths), range(len(photos))))
+def _agreed(
+    views: Sequence[TrainView],
+    known: np.ndarray | None,
+    how: _How,
+    pool: ThreadPoolExecutor,
+    progress: Progress,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points and colours as of `stereo_points`."""
+    photos = list(pool.map(lambda view: _matched(view, how.pixels), views))
+    widest = _widest_depths(photos) if known is None else np.empty(0)
+
+    def swept(at: int) -> tuple[np.ndarray, np.ndarray]:
+        progress.check()
+        return _swept(at, photos, widest if known is None else _depths(photos[at].camera, known), how)
+
+    depths = []
+    for found in pool.map(swept, range(len(photos))):
+        depths.append(found)
+        progress.step(len(depths) / len(photos))
+    confirmed = list(pool.map(lambda at: _confirmed(at, photos, depths, how.tolerance), range(len(photos))))
     places = np.concatenate([np.empty((0, 3)), *(own for own, _ in confirmed)])
     return places, np.concatenate([np.empty((0, 3), np.uint8), *(colours for _, colours in confirmed)])
 
 
-def _matched(view: TrainView) -> _Matched:
-    view = view.smaller(max(1, round(np.sqrt(view.camera.width * view.camera.height / PIXELS))))
+def _widest_depths(photos: Sequence[_Matched]) -> np.ndarray:
+    """(D,) from the nearest to the farthest depth that cameras so far apart can tell, evenly by their
+    logarithms; none where they stand together."""
+    eyes = np.array([photo.camera.eye for photo in photos])
+    if len(eyes) < 2:
+        return np.empty(0)
+    apart = np.linalg.norm(eyes[:, None] - eyes[None], axis=2)
+    farthest = float(apart.max()) / np.tan(np.radians(LEAST_ANGLE))
+    np.fill_diagonal(apart, np.inf)
+    nearest = NEAREST_OF_PITCH * float(np.median(apart.min(axis=1)))
+    return np.geomspace(nearest, farthest, PLANES) if 0 < nearest < farthest else np.empty(0)
+
+
+def _matched(view: TrainView, pixels: int) -> _Matched:
+    view = view.smaller(max(1, round(np.sqrt(view.camera.width * view.camera.height / pixels))))
     camera, colours = view.camera, view.pixels
     usable = np.ones(colours.shape[:2], bool) if view.mask is None else view.mask.copy()
     if view.alpha is not None:
@@ -151,22 +220,46 @@ def _matched(view: TrainView) -> _Matched:
     return _Matched(camera, colours, grey, mean, deviation, kernels.spans_of(deviation > 0))
 
 
-def _swept(at: int, photos: Sequence[_Matched], known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) float32 inverse depths of a photo and how well they match, -1 where nothing does."""
+def _swept(at: int, photos: Sequence[_Matched], seen: np.ndarray, how: _How) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) float32 inverse depths of a photo between the least and the greatest that is `seen`, any number,
+    and how well they match, -1 where nothing does. By several sweeps those with next to none are left out."""
+    shape = photos[at].grey.shape
+    found, confidence = np.zeros(shape, np.float32), np.full(shape, -1, np.float32)
+    near, far = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 0.0)
+    if not 0 < near < far < np.inf:
+        return found, confidence
+    if how.band is None:
+        return _swept_band(at, photos, np.linspace(1 / far, 1 / near, PLANES), how.sources)
+    count = max(1, int(np.ceil(np.log(far / near) / np.log(BAND))))
+    edges = near * (far / near) ** (np.arange(count + 1) / count)
+    for nearest, farthest in pairwise(edges):
+        if ((seen >= nearest) & (seen <= farthest)).sum() < LEAST_OF_A_BAND * len(seen):
+            continue
+        planes = 3 + int(np.ceil(how.band * (1 - nearest / farthest) / (1 - 1 / BAND)))
+        # What matches best on the first or last plane is no match: two more, which sweeps share.
+        step = (1 / nearest - 1 / farthest) / (planes - 3)
+        least = 1 / farthest - min(step, 0.5 / farthest)
+        band = np.linspace(least, 1 / nearest + step, planes)
+        inverse_depth, score = _swept_band(at, photos, band, how.sources)
+        better = score > confidence
+        found[better], confidence[better] = inverse_depth[better], score[better]
+    return found, confidence
+
+
+def _swept_band(
+    at: int, photos: Sequence[_Matched], inverse_depths: np.ndarray, most: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same by planes at these inverse depths, (D,), rising evenly, and `most` so many neighbours."""
     photo = photos[at]
     shape = photo.grey.shape
     found, confidence = np.zeros(shape, np.float32), np.full(shape, -1, np.float32)
-    near, far = _depths(photo.camera, known)
-    if not 0 < near < far:
-        return found, confidence
-    middle = photo.camera.eye + photo.camera.forward * (2 / (1 / near + 1 / far))
-    sources = _neighbours(at, photos, middle)
+    middle = photo.camera.eye + photo.camera.forward * (2 / (inverse_depths[0] + inverse_depths[-1]))
+    sources = _neighbours(at, photos, middle, most)
     if not sources:
         return found, confidence
-    inverse_depths = np.linspace(1 / far, 1 / near, PLANES)
     greys = np.stack([photos[j].grey for j in sources])
     rotations, offsets = _through(photo.camera, [photos[j].camera for j in sources])
-    scores, rows = np.empty((PLANES, *shape), np.float32), np.empty((3, shape[1]))
+    scores, rows = np.empty((len(inverse_depths), *shape), np.float32), np.empty((3, shape[1]))
     warped, second = np.empty(shape, np.float32), np.empty(shape, np.float32)
     for inverse_depth, plane in zip(inverse_depths, scores, strict=True):
         kernels.plane_scores(
@@ -178,22 +271,23 @@ def _swept(at: int, photos: Sequence[_Matched], known: np.ndarray) -> tuple[np.n
     return found, confidence
 
 
-def _depths(camera: Camera, points: np.ndarray) -> tuple[float, float]:
-    """Near and far depths of the points that a photo shows, with room on both sides; zeros where it shows
-    next to none."""
+def _depths(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """(D,) depths of the points that a photo shows but for the outermost, from the nearest to the farthest
+    with room on both sides; none where it shows next to none."""
     local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     z = local[:, 2]
     with np.errstate(all="ignore"):
         u, v = camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy
         seen = (z > 0) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
     if np.count_nonzero(seen) < 8:
-        return 0.0, 0.0
+        return np.empty(0)
     near, far = np.quantile(z[seen], [0.01, 0.99])
-    return NEARER * float(near), FARTHER * float(far)
+    within = z[seen & (z >= near) & (z <= far)]
+    return np.concatenate([[NEARER * near], within, [FARTHER * far]])
 
 
-def _neighbours(at: int, photos: Sequence[_Matched], middle: np.ndarray) -> list[int]:
-    """The photos of the same size that see `middle` (3,) at good angles, the best first."""
+def _neighbours(at: int, photos: Sequence[_Matched], middle: np.ndarray, most: int) -> list[int]:
+    """Photos of the same size that see `middle` (3,) at good angles, the best first, `most` at most."""
     own = photos[at]
     ray, worth = own.camera.eye - middle, []
     for other, photo in enumerate(photos):
@@ -207,7 +301,7 @@ def _neighbours(at: int, photos: Sequence[_Matched], middle: np.ndarray) -> list
         if LEAST_ANGLE < angle < MOST_ANGLE:
             width = NARROW if angle < BEST_ANGLE else WIDE
             worth.append((-float(np.exp(-(((angle - BEST_ANGLE) / width) ** 2))), other))
-    return [other for _, other in sorted(worth)[:SOURCES]]
+    return [other for _, other in sorted(worth)[:most]]
 
 
 def _through(camera: Camera, others: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
@@ -223,7 +317,7 @@ def _intrinsics(camera: Camera) -> np.ndarray:
 
 
 def _confirmed(
-    at: int, photos: Sequence[_Matched], depths: Sequence[tuple[np.ndarray, np.ndarray]]
+    at: int, photos: Sequence[_Matched], depths: Sequence[tuple[np.ndarray, np.ndarray]], tolerance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Places and colours of a photo's pixels whose depth others share, be they its neighbours or not."""
     photo, (inverse_depth, confidence) = photos[at], depths[at]
@@ -235,7 +329,7 @@ def _confirmed(
         *(inverse_depth, confidence, LEAST_SCORE),
         *(np.stack([depths[j][part] for j in others]) for part in (0, 1)),
         *_through(photo.camera, [photos[j].camera for j in others]),
-        *(TOLERANCE, counts),
+        *(tolerance, counts),
     )
     rows, columns = np.nonzero(counts >= WITNESSES)
     camera = photo.camera
@@ -246,20 +340,35 @@ def _confirmed(
 
 
 def thinned(
-    points: np.ndarray, colours: np.ndarray, count: int, seed: int = 0
+    points: np.ndarray,
+    colours: np.ndarray,
+    count: int,
+    seed: int = 0,
+    *,
+    places: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """At most `count` of points (P, 3) and their colours, evenly over space: one of each cube of a grid.
+    """At most `count` of points (P, 3) and their colours, evenly over space: one of each cube of a grid, by
+    `places` (P, 3) where these are others.
 
     Points that lie alone are left out, see LEAST_SUPPORT.
     """
     order = np.random.default_rng(seed).permutation(len(points))
+    places = points if places is None else places
     _, inverse, sizes = np.unique(
-        _cells(points, len(points) // POINTS_A_CUBE), return_inverse=True, return_counts=True
+        _cells(places, len(places) // POINTS_A_CUBE), return_inverse=True, return_counts=True
     )
     order = order[sizes[inverse[order]] >= LEAST_SUPPORT]
-    _, first = np.unique(_cells(points[order], count), return_index=True)
+    _, first = np.unique(_cells(places[order], count), return_index=True)
     kept = order[first]
     return points[kept], colours[kept]
+
+
+def contracted(points: np.ndarray, middle: np.ndarray, unit: float) -> np.ndarray:
+    """Points (P, 3) about `middle`, (3,), of which those beyond `unit` are drawn in, within twice as far, as
+    by Barron et al. 2022: pieces of equal size look alike from amidst."""
+    away = points - middle
+    distances = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    return away * np.where(distances > unit, (2 - unit / distances) * unit / distances, 1.0)
 
 
 def _cells(points: np.ndarray, count: int) -> np.ndarray:

@@ -15,7 +15,7 @@ from splatview.scene.lens import undistort
 from splatview.scene.progress import Cancelled, Progress
 from splatview.trainer import stereo_kernels as kernels
 from splatview.trainer.setup import settings_for, start_points
-from splatview.trainer.stereo import _through, stereo_points, thinned
+from splatview.trainer.stereo import _through, contracted, stereo_points, thinned
 from splatview.trainer.views import TrainView, TrainViews
 
 from .conftest import capture_of
@@ -70,6 +70,61 @@ def test_points_lie_on_the_surface_and_have_its_colours(photos, around):
     again = stereo_points(photos, around, threads=1)
     np.testing.assert_array_equal(again[0], points)
     np.testing.assert_array_equal(again[1], colours)
+
+
+FAR = 27.0
+"""z of what stands behind the plane z = 0 in some photos."""
+
+
+def photo_of_two_planes(eye: tuple[float, float, float]) -> TrainView:
+    """The plane z = 0 where x < 0, and z = FAR beside it, whose texture is as fine to the eye; looked at side
+    by side."""
+    camera = look_at(eye, (0.9 * eye[0], eye[1], 0), width=3 * SIZE[0], height=3 * SIZE[1])
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    slopes = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
+    ways = slopes @ camera.world_to_camera[:3, :3]
+    front, back = (camera.eye + ways * ((z - camera.eye[2]) / ways[..., 2:]) for z in (0.0, FAR))
+    near, far = texture(front[..., 0], front[..., 1]), texture(back[..., 0] / 10, back[..., 1] / 10)
+    return TrainView(camera, np.where(front[..., :1] < 0, near, far))
+
+
+def test_depths_that_no_point_tells(photos):
+    points, _ = stereo_points(photos, None)
+    assert len(points) > 0.12 * len(photos) * SIZE[0] * SIZE[1]
+    off = np.abs(points[:, 2])
+    assert np.median(off) < 0.01 and np.quantile(off, 0.98) < 0.03
+
+
+def test_near_and_far_surfaces_where_no_point_tells(rng):
+    views = [photo_of_two_planes((0.5 * i - 1.5, 0.2 * (i % 2), -3)) for i in range(7)]
+    points, colours = stereo_points(views, None)
+    near, far = np.abs(points[:, 2]) < 0.05, np.abs(points[:, 2] - FAR) < 3
+    assert near.sum() > 1000 and far.sum() > 1000
+    assert (near | far).mean() > 0.9
+    again = stereo_points(views, None, threads=1)
+    np.testing.assert_array_equal(again[0], points)
+    np.testing.assert_array_equal(again[1], colours)
+    # By points of the near plane alone the far one has no depth.
+    known = np.c_[rng.uniform(-1, 1, (500, 2)), rng.uniform(-0.1, 0.1, 500)]
+    assert not (np.abs(stereo_points(views, known)[0][:, 2] - FAR) < 3).any()
+
+
+def test_cameras_in_one_place_find_no_depths(photos):
+    here = [replace(view, camera=photos[0].camera) for view in photos]
+    assert len(stereo_points(here, None)[0]) == 0
+
+
+@given(st.floats(0.01, 1e3), st.floats(0, 1e6), st.floats(0, 1e6))
+def test_far_places_are_drawn_in_by_their_order(unit, one, other):
+    way = np.array([0.6, 0.0, -0.8])
+    places = contracted(np.array([one, other])[:, None] * way + (5, 6, 7), np.array([5.0, 6.0, 7.0]), unit)
+    found = places @ way
+    np.testing.assert_allclose(places, found[:, None] * way, atol=1e-6 * (1 + unit))
+    assert (found <= 2 * unit * (1 + 1e-9)).all()
+    assert (found[0] - found[1]) * (one - other) >= -1e-9 * (1 + unit)
+    for distance, now in zip((one, other), found, strict=True):
+        if distance <= unit:
+            assert now == pytest.approx(distance, abs=1e-6 * (1 + unit))
 
 
 def test_what_is_masked_or_transparent_gives_no_points(photos, around):
@@ -236,7 +291,8 @@ def test_where_splats_begin_is_what_the_setting_says(photos, rng):
     points, notes = begun("auto", guessed=True)
     assert np.median(np.abs(points[:, 2])) < 0.01 and "by stereo" in notes[0]
     both, notes = begun("stereo", guessed=False)
-    assert len(both) == len(points) + len(own[0]) and np.array_equal(both[: len(own[0])], own[0])
+    assert len(both) > 5 * len(own[0]) and np.array_equal(both[: len(own[0])], own[0])
+    assert np.median(np.abs(both[len(own[0]) :, 2])) < 0.01
     flat = TrainViews([TrainView(view.camera, np.full_like(view.pixels, 90)) for view in photos], 0)
     points, notes = begun("auto", guessed=True, used=flat)
     assert points is own[0] and "too few" in notes[0] and "300 random points" in notes[0]

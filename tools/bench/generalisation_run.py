@@ -182,6 +182,7 @@ def main() -> None:
     parser.add_argument(
         "--passing", action="store_true", help="something passes before a fifth of the photos"
     )
+    parser.add_argument("--no-points", action="store_true", help="without the capture's points")
     parser.add_argument("--until", type=float, default=1.0, help="share of the run after which it ends")
     parser.add_argument("--smaller", type=int, default=1, help="factor of the photos, to try rules quickly")
     parser.add_argument(
@@ -196,6 +197,7 @@ def main() -> None:
     options = parser.parse_args()
 
     from splatview.raster import Workspace, draw_frame
+    from splatview.scene.captures.points import random_points
     from splatview.trainer.evaluate import evaluate, side_by_side
     from splatview.trainer.setup import kernel_threads_only, settings_for, trainer_for
     from splatview.trainer.views import TrainViews, train_views
@@ -206,6 +208,9 @@ def main() -> None:
     capture = bench_split(
         *(options.name, options.split, options.data, options.made, options.smaller, options.downscale)
     )
+    if options.no_points:
+        points, colours = random_points([photo.camera for photo in capture.train])
+        capture = replace(capture, points=points, point_colours=colours, guessed=True)
     wrong: list[str] = []
     if options.fault:
         capture, wrong = with_fault(capture, options.fault, options.split)
