@@ -92,7 +92,7 @@ PUBLIC = {
     ),
     "cat": PublicCapture("judge", "J-Aurora052/cattoy", "data/images", 4, poses="data/sparse"),
     "office": PublicCapture("judge", "antoniocarevic/diplomski123", "images", 4, poses=POSES_JSON),
-    "terrace": PublicCapture("judge", "Vincent7140/dataset_perso", "", 1, poses=POSES_JSON, every=2),
+    "terrace": PublicCapture("choose", "Vincent7140/dataset_perso", "", 1, poses=POSES_JSON, every=2),
     "fruit": PublicCapture("judge", "tusharparimi/fruit-NeRF", "newfruit_small", 2, poses=POSES_JSON),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
@@ -103,7 +103,7 @@ room (Barron et al. 2022); a house of bricks, from all its sides (Hane et al. 20
 renderings by which NeRF was first measured (Mildenhall et al. 2020), at a quarter of their size; a clay
 figurine on paper; a palm in a hall, seen from 20 places side by side (Mildenhall et al. 2019); a statue in
 many people's photos, in any weather, and a small sculpture, both cut out by masks (Boss et al. 2021); a toy
-cat whose photos are transparent around it; a room of an office, turned about in with a phone; a terrace
+cat whose photos are transparent around it; a room of an office, by a phone, whose poses are wrong; a terrace
 before a desert, walked along with a camera; fruit on a sheet, by a phone."""
 
 
