@@ -70,13 +70,16 @@ def find_colmap(folder: Path) -> Model | None:
             if _images_file(found) is None:
                 continue
             return Model(found)
-        counts = {model: _photos_of(model) for model in _models_in(found.parent)}
-        if not counts:
+        models, before = _models_in(found.parent), _models_in(folder / DISTORTED)
+        if not models:
             continue
-        most = max(counts, key=lambda model: counts[model])
+        if len(models) == 1 and not before:
+            return Model(models[0])
+        counts = {model: _photos_of(model) for model in models}
+        most = max(models, key=lambda model: counts[model])
         others = {model: count for model, count in counts.items() if count and model != most}
-        before = {model: _photos_of(model) for model in _models_in(folder / DISTORTED)}
-        others |= {model: count for model, count in before.items() if count > counts[most]}
+        larger = {model: _photos_of(model) for model in before}
+        others |= {model: count for model, count in larger.items() if count > counts[most]}
         return Model(most, counts[most], others)
     return None
 
@@ -106,8 +109,7 @@ def _photos_of(model: Path) -> int:
                 count = int.from_bytes(file.read(8), "little")
                 return count if count * LEAST_IMAGE_BYTES <= path.stat().st_size else 0
             # Two lines each, of which the second may be empty.
-            lines = [line for line in file.read(MAX_TEXT_BYTES).splitlines() if not line.startswith(b"#")]
-            return len(lines) // 2
+            return sum(not line.startswith(b"#") for line in file) // 2
     except (OSError, InputError):
         return 0
 
