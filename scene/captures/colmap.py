@@ -18,7 +18,16 @@ import numpy as np
 from splatview.scene.captures.capture import AT_ONCE, Files, PosedPhoto, PosedPhotos, check_photos, tidy_name
 from splatview.scene.captures.photo_files import photo_folders
 from splatview.scene.errors import InputError
-from splatview.scene.formats.colmap import find_model, image_camera, image_lens, read_cameras, read_images
+from splatview.scene.formats.colmap import (
+    find_model,
+    image_camera,
+    image_lens,
+    images_file,
+    models_in,
+    posed_images,
+    read_cameras,
+    read_images,
+)
 from splatview.scene.formats.io import excerpt, open_regular
 from splatview.scene.progress import Progress
 
@@ -36,9 +45,6 @@ _POINT = np.dtype(
 
 DISTORTED = "distorted/sparse"
 """Where the 3DGS trainer keeps models of photos whose lens is still in them."""
-
-LEAST_IMAGE_BYTES = 64
-"""That ``images.bin`` has for each image, its name aside."""
 
 
 class Model(NamedTuple):
@@ -67,51 +73,21 @@ def find_colmap(folder: Path) -> Model | None:
     for name in MODEL_FOLDERS:
         found = folder / name
         if not name.endswith("/0"):
-            if _images_file(found) is None:
+            if images_file(found) is None:
                 continue
             return Model(found)
-        models, before = _models_in(found.parent), _models_in(folder / DISTORTED)
+        models, before = models_in(found.parent), models_in(folder / DISTORTED)
         if not models:
             continue
         if len(models) == 1 and not before:
             return Model(models[0])
-        counts = {model: _photos_of(model) for model in models}
+        counts = {model: posed_images(model) for model in models}
         most = max(models, key=lambda model: counts[model])
         others = {model: count for model, count in counts.items() if count and model != most}
-        larger = {model: _photos_of(model) for model in before}
+        larger = {model: posed_images(model) for model in before}
         others |= {model: count for model, count in larger.items() if count > counts[most]}
         return Model(most, counts[most], others)
     return None
-
-
-def _models_in(folder: Path) -> list[Path]:
-    """Folders of models, as COLMAP numbers them."""
-    try:
-        names = [name for name in os.listdir(folder) if name.isdecimal()]
-    except OSError:
-        return []
-    return [folder / name for name in sorted(names, key=int) if _images_file(folder / name)]
-
-
-def _images_file(model: Path) -> Path | None:
-    files = (model / f"images{suffix}" for suffix in (".bin", ".txt"))
-    return next((file for file in files if os.path.isfile(file)), None)
-
-
-def _photos_of(model: Path) -> int:
-    """How many photos have a pose in a model; 0 where that cannot be told."""
-    path = _images_file(model)
-    if path is None:
-        return 0
-    try:
-        with open_regular(path) as file:
-            if path.suffix == ".bin":
-                count = int.from_bytes(file.read(8), "little")
-                return count if count * LEAST_IMAGE_BYTES <= path.stat().st_size else 0
-            # Two lines each, of which the second may be empty.
-            return sum(not line.startswith(b"#") for line in file) // 2
-    except (OSError, InputError):
-        return 0
 
 
 def find_part_of_colmap(folder: Path) -> Path | None:

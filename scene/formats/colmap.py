@@ -27,6 +27,8 @@ from splatview.scene.projection import rotation_matrices
 MAX_NAME_BYTES = 4096
 """Bytes of an image's name; longer than any file system's."""
 
+LEAST_IMAGE_BYTES = 64
+"""That ``images.bin`` has for each image, its name aside."""
 
 MODELS = (
     "SIMPLE_PINHOLE",
@@ -133,9 +135,13 @@ def _distortion_notes(intrinsics: dict[int, ColmapCamera], images: Sequence[Colm
 
 
 def find_model(path: Path) -> tuple[Path, Path]:
-    """The files (cameras, images) of the model at `path`; a folder may also hold it in ``sparse/0``."""
+    """The files (cameras, images) of the model at `path`; a folder may also hold it in ``sparse``, or several
+    in ``sparse/0`` and so on, of which the one with most images is taken, the first of such."""
     if os.path.isdir(path):
-        for folder in (path, path / "sparse" / "0", path / "sparse"):
+        models = models_in(path / "sparse")
+        if len(models) > 1:
+            models.sort(key=posed_images, reverse=True)
+        for folder in (path, *models, path / "sparse"):
             for suffix in (".bin", ".txt"):
                 pair = folder / f"cameras{suffix}", folder / f"images{suffix}"
                 if all(map(os.path.isfile, pair)):
@@ -151,6 +157,37 @@ def find_model(path: Path) -> tuple[Path, Path]:
         if not os.path.isfile(file):
             raise InputError(f"{path}: needs {file.name} in the same folder")
     return pair
+
+
+def models_in(folder: Path) -> list[Path]:
+    """Folders of models, as COLMAP numbers them."""
+    try:
+        names = [name for name in os.listdir(folder) if name.isdecimal()]
+    except OSError:
+        return []
+    return [folder / name for name in sorted(names, key=int) if images_file(folder / name)]
+
+
+def images_file(model: Path) -> Path | None:
+    """``images`` of the model in a folder; None where it has none."""
+    files = (model / f"images{suffix}" for suffix in (".bin", ".txt"))
+    return next((file for file in files if os.path.isfile(file)), None)
+
+
+def posed_images(model: Path) -> int:
+    """How many images have a pose in the model in a folder; 0 where that cannot be told."""
+    path = images_file(model)
+    if path is None:
+        return 0
+    try:
+        with open_regular(path) as file:
+            if path.suffix == ".bin":
+                count = int.from_bytes(file.read(8), "little")
+                return count if count * LEAST_IMAGE_BYTES <= path.stat().st_size else 0
+            # Two lines each, of which the second may be empty.
+            return sum(not line.startswith(b"#") for line in file) // 2
+    except (OSError, InputError):
+        return 0
 
 
 def read_cameras(path: Path) -> dict[int, ColmapCamera]:

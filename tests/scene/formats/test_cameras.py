@@ -289,6 +289,19 @@ def test_colmap_by_any_of_its_paths(tmp_path):
         assert [camera.name for camera in load_cameras(path)] == ["a"]
 
 
+@pytest.mark.parametrize("text", [False, True])
+def test_of_several_colmap_models_the_largest_is_taken(tmp_path, text):
+    lens = [(1, "PINHOLE")]
+    for number, names in ((0, "ab"), (1, "cdef"), (10, "ghij")):
+        images = [(name, 1, some_camera(i)) for i, name in enumerate(names)]
+        write_model(tmp_path / "sparse" / str(number), lens, images, text=text)
+    assert [camera.name for camera in load_cameras(tmp_path)] == list("cdef")
+    images_file = tmp_path / "sparse" / "1" / ("images.txt" if text else "images.bin")
+    images_file.rename(images_file.with_stem("other"))
+    assert [camera.name for camera in load_cameras(tmp_path)] == list("ghij")
+    assert [camera.name for camera in load_cameras(tmp_path / "sparse" / "0")] == list("ab")
+
+
 def test_colmap_parts_missing(tmp_path):
     assert "holds no COLMAP model" in refused(tmp_path)
     write_model(tmp_path, [(1, "PINHOLE")], [("a", 2, some_camera())], text=False)
