@@ -64,6 +64,10 @@ NEAREST_OF_PITCH = 1.4
 """Nearest depth of that look, in distances of a camera to the next one: nearer things are seen at angles of
 more than MOST_ANGLE."""
 
+CELLS = 24
+"""Pieces of a photo, each way. In each, and in those about it, depths are looked at closely that the first
+look has found there; where it has found none, those of the nearest pieces where it has."""
+
 LEAST_SURVEYED = 500
 """Points that such a look must find to go by."""
 
@@ -109,11 +113,13 @@ class _Matched:
     colours: np.ndarray
     """(H, W, 3) uint8."""
     grey: np.ndarray
-    """(H, W) float32, 0..255."""
-    mean: np.ndarray
-    """(H, W) float32, of windows."""
+    """(H, W) float32, whole levels from 0 to 255, less `stereo_kernels.MIDDLE`."""
+    sums: np.ndarray
+    """(H, W) float32, over windows."""
     deviation: np.ndarray
-    """(H, W) float32, of windows; 0 where nothing can be matched."""
+    """(H, W) float32, 49 times that of windows; 0 where nothing can be matched."""
+    pieces: np.ndarray
+    """(H - 1, W - 1) uint32, see `stereo_kernels.pieces_of`."""
     spans: np.ndarray
     """(2, H, 2) int32, where something can, see `stereo_kernels.spans_of`."""
 
@@ -158,6 +164,7 @@ def stereo_points(
         if known is None:
             found = _agreed(usable, None, SURVEY, pool, progress.part(0.0, 0.3))
             if len(found[0]) < LEAST_SURVEYED:
+                progress.step(1.0)
                 return found
             return _agreed(usable, found[0], CLOSELY, pool, progress.part(0.3, 1.0))
         return _agreed(usable, known, _How(PIXELS, TOLERANCE), pool, progress)
@@ -176,7 +183,7 @@ def _agreed(
 
     def swept(at: int) -> tuple[np.ndarray, np.ndarray]:
         progress.check()
-        return _swept(at, photos, widest if known is None else _depths(photos[at].camera, known), how)
+        return _swept(at, photos, widest if known is None else _seen(photos[at].camera, known), how)
 
     depths = []
     for found in pool.map(swept, range(len(photos))):
@@ -211,46 +218,78 @@ def _matched(view: TrainView, pixels: int) -> _Matched:
         marked, valid = undistorted(marked, camera)
         colours, usable = marked[..., :3], valid & (marked[..., 3] == 255)
         camera = replace(camera, lens=None)
-    grey = colours.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
-    mean, square = np.empty_like(grey), np.empty_like(grey)
-    kernels.window_means(grey, np.zeros(grey.shape[1]), mean)
-    kernels.window_means(grey * grey, np.zeros(grey.shape[1]), square)
-    variance = square - mean * mean  # NaN at the rim
-    textured = usable & (variance > kernels.LEAST_VARIANCE)
-    deviation = np.sqrt(np.where(textured, variance, 0)).astype(np.float32)
-    return _Matched(camera, colours, grey, mean, deviation, kernels.spans_of(deviation > 0))
+    levels = np.rint(colours.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32))
+    grey, count = levels - kernels.MIDDLE, (2 * kernels.RADIUS + 1) ** 2
+    sums, squares = (np.empty(grey.shape) for _ in range(2))
+    kernels.window_sums(grey, np.zeros(grey.shape[1]), sums)
+    kernels.window_sums(grey * grey, np.zeros(grey.shape[1]), squares)
+    spread = count * squares - sums * sums  # NaN at the rim
+    textured = usable & (spread > kernels.LEAST_VARIANCE * count**2)
+    deviation = np.sqrt(np.where(textured, spread, 0)).astype(np.float32)
+    spans, pieces = kernels.spans_of(deviation > 0), kernels.pieces_of(levels)
+    return _Matched(camera, colours, grey, sums.astype(np.float32), deviation, pieces, spans)
 
 
 def _swept(at: int, photos: Sequence[_Matched], seen: np.ndarray, how: _How) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) float32 inverse depths of a photo between the least and the greatest that is `seen`, any number,
-    and how well they match, -1 where nothing does. By several sweeps those with next to none are left out."""
-    shape = photos[at].grey.shape
-    found, confidence = np.zeros(shape, np.float32), np.full(shape, -1, np.float32)
-    near, far = (float(seen.min()), float(seen.max())) if len(seen) else (0.0, 0.0)
+    """(H, W) float32 inverse depths of a photo between the least and the greatest that is `seen`, (S,) depths
+    or (S, 3) with places in the photo, px, and how well they match, -1 where nothing does. By several sweeps
+    those with next to none are left out, and places far from where such depths are seen."""
+    photo = photos[at]
+    found, confidence = np.zeros(photo.grey.shape, np.float32), np.full(photo.grey.shape, -1, np.float32)
+    z = seen if seen.ndim == 1 else seen[:, 0]
+    near, far = (float(z.min()), float(z.max())) if len(z) else (0.0, 0.0)
     if not 0 < near < far < np.inf:
         return found, confidence
     if how.band is None:
-        return _swept_band(at, photos, np.linspace(1 / far, 1 / near, PLANES), how.sources)
+        return _swept_band(at, photos, np.linspace(1 / far, 1 / near, PLANES), how.sources, photo.spans)
     count = max(1, int(np.ceil(np.log(far / near) / np.log(BAND))))
     edges = near * (far / near) ** (np.arange(count + 1) / count)
-    for nearest, farthest in pairwise(edges):
-        if ((seen >= nearest) & (seen <= farthest)).sum() < LEAST_OF_A_BAND * len(seen):
+    pieces = None if seen.ndim == 1 else _pieces(seen, edges, photo.grey.shape)
+    for number, (nearest, farthest) in enumerate(pairwise(edges)):
+        if ((z >= nearest) & (z <= farthest)).sum() < LEAST_OF_A_BAND * len(z):
             continue
+        spans = photo.spans
+        if pieces is not None:
+            rows, columns = (np.arange(size) * CELLS // size for size in photo.grey.shape)
+            spans = kernels.spans_of((photo.deviation > 0) & pieces[number][np.ix_(rows, columns)])
         planes = 3 + int(np.ceil(how.band * (1 - nearest / farthest) / (1 - 1 / BAND)))
         # What matches best on the first or last plane is no match: two more, which sweeps share.
         step = (1 / nearest - 1 / farthest) / (planes - 3)
         least = 1 / farthest - min(step, 0.5 / farthest)
         band = np.linspace(least, 1 / nearest + step, planes)
-        inverse_depth, score = _swept_band(at, photos, band, how.sources)
+        inverse_depth, score = _swept_band(at, photos, band, how.sources, spans)
         better = score > confidence
         found[better], confidence[better] = inverse_depth[better], score[better]
     return found, confidence
 
 
+def _pieces(seen: np.ndarray, edges: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """(B, CELLS, CELLS) bool: where in a photo (H, W) depths between two of the `edges`, (B + 1,), are looked
+    for, by what is `seen`, (S, 3): depths, and places in px."""
+    z, u, v = seen.T
+    cells = (v * CELLS / shape[0]).astype(int) * CELLS + (u * CELLS / shape[1]).astype(int)
+    found = np.zeros((len(edges) - 1, CELLS, CELLS), np.bool_)
+    for number, (nearest, farthest) in enumerate(pairwise(edges)):
+        within = cells[(z >= NEARER * nearest) & (z <= FARTHER * farthest)]
+        found[number].flat[np.unique(within)] = True
+    found = _grown(found)
+    while not (known := found.any(axis=0)).all() and known.any():
+        found |= _grown(found) & ~known
+    return found
+
+
+def _grown(cells: np.ndarray) -> np.ndarray:
+    """(B, R, C) bool: cells, and those beside them."""
+    padded = np.pad(cells, ((0, 0), (1, 1), (1, 1)))
+    rows = padded[:, :-2] | padded[:, 1:-1] | padded[:, 2:]
+    return rows[..., :-2] | rows[..., 1:-1] | rows[..., 2:]
+
+
 def _swept_band(
-    at: int, photos: Sequence[_Matched], inverse_depths: np.ndarray, most: int
+    at: int, photos: Sequence[_Matched], inverse_depths: np.ndarray, most: int, spans: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same by planes at these inverse depths, (D,), rising evenly, and `most` so many neighbours."""
+    """The same by planes at these inverse depths, (D,), rising evenly, and `most` so many neighbours, in
+    `spans` of windows, as of `stereo_kernels.spans_of`."""
     photo = photos[at]
     shape = photo.grey.shape
     found, confidence = np.zeros(shape, np.float32), np.full(shape, -1, np.float32)
@@ -258,33 +297,38 @@ def _swept_band(
     sources = _neighbours(at, photos, middle, most)
     if not sources:
         return found, confidence
-    greys = np.stack([photos[j].grey for j in sources])
+    pieces = np.stack([photos[j].pieces for j in sources])
     rotations, offsets = _through(photo.camera, [photos[j].camera for j in sources])
-    scores, rows = np.empty((len(inverse_depths), *shape), np.float32), np.empty((3, shape[1]))
-    warped, second = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    scores, rows = np.empty((len(inverse_depths), *shape), np.float32), np.empty((3, shape[1]), np.float32)
+    warped, second, seen = (
+        np.empty(shape, np.float32),
+        np.empty(shape, np.float32),
+        np.empty((shape[0], 2), np.int32),
+    )
     for inverse_depth, plane in zip(inverse_depths, scores, strict=True):
         kernels.plane_scores(
-            *(photo.grey, photo.mean, photo.deviation, photo.spans, greys, rotations, offsets),
-            *(float(inverse_depth), warped, second, rows, plane),
+            *(photo.grey, photo.sums, photo.deviation, spans, pieces, rotations, offsets),
+            *(float(inverse_depth), warped, second, rows, seen, plane),
         )
-    work = np.empty(shape[1], np.int32), np.empty(shape[1], np.float32)
-    kernels.best_planes(scores, inverse_depths, photo.spans, *work, found, confidence)
+    work = np.empty(shape[1], np.int32), *(np.empty(shape[1], np.float32) for _ in range(2))
+    kernels.best_planes(scores, inverse_depths, spans, *work, found, confidence)
     return found, confidence
 
 
-def _depths(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """(D,) depths of the points that a photo shows but for the outermost, from the nearest to the farthest
-    with room on both sides; none where it shows next to none."""
+def _seen(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """(S, 3): depth and place, px, of the points that a photo shows but for the outermost; the nearest and
+    farthest depths with room on both sides, in its middle; none where it shows next to none."""
     local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     z = local[:, 2]
     with np.errstate(all="ignore"):
         u, v = camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy
         seen = (z > 0) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
     if np.count_nonzero(seen) < 8:
-        return np.empty(0)
+        return np.empty((0, 3))
     near, far = np.quantile(z[seen], [0.01, 0.99])
-    within = z[seen & (z >= near) & (z <= far)]
-    return np.concatenate([[NEARER * near], within, [FARTHER * far]])
+    within = seen & (z >= near) & (z <= far)
+    rim = [[depth, camera.width / 2, camera.height / 2] for depth in (NEARER * near, FARTHER * far)]
+    return np.concatenate([np.stack([z, u, v], axis=1)[within], rim])
 
 
 def _neighbours(at: int, photos: Sequence[_Matched], middle: np.ndarray, most: int) -> list[int]:

@@ -15,7 +15,15 @@ from splatview.scene.lens import undistort
 from splatview.scene.progress import Cancelled, Progress
 from splatview.trainer import stereo_kernels as kernels
 from splatview.trainer.setup import settings_for, start_points
-from splatview.trainer.stereo import _through, contracted, stereo_points, thinned
+from splatview.trainer.stereo import (
+    CELLS,
+    _matched,
+    _pieces,
+    _through,
+    contracted,
+    stereo_points,
+    thinned,
+)
 from splatview.trainer.views import TrainView, TrainViews
 
 from .conftest import capture_of
@@ -109,6 +117,22 @@ def test_near_and_far_surfaces_where_no_point_tells(rng):
     assert not (np.abs(stereo_points(views, known)[0][:, 2] - FAR) < 3).any()
 
 
+def test_depths_are_looked_for_about_where_they_were_seen(rng):
+    edges, shape = np.array([1.0, 4.0, 16.0, 64.0]), (60, 90)
+    places = np.c_[rng.uniform(0, 90, 400), rng.uniform(0, 60, 400)]
+    depths = np.where(places[:, 0] < 30, 2.0, 30.0)
+    found = _pieces(np.c_[depths, places], edges, shape)
+    assert found.shape == (3, CELLS, CELLS) and found.any(axis=0).all(), "something everywhere"
+    for z, (u, v) in zip(depths, places, strict=True):
+        row, column = int(v * CELLS / 60), int(u * CELLS / 90)
+        about = found[:, max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        assert about[0 if z == 2 else 2].all()
+    assert found[0, :, 0].all() and not found[0, :, -1].any() and not found[2, :, 0].any()
+    assert not found[1].any() and not _pieces(np.empty((0, 3)), edges, shape).any()
+    near_the_edge = _pieces(np.array([[3.9, 45.0, 30.0]]), edges, shape)
+    assert near_the_edge[0].all() and near_the_edge[1].all() and not near_the_edge[2].any()
+
+
 def test_cameras_in_one_place_find_no_depths(photos):
     here = [replace(view, camera=photos[0].camera) for view in photos]
     assert len(stereo_points(here, None)[0]) == 0
@@ -170,17 +194,14 @@ def test_it_can_be_cancelled(photos, around):
 def test_scores_are_correlations_of_windows(photos, rng):
     """Beside float64, at places drawn by chance; one source, so that nothing is averaged."""
     first, second = photos[1], photos[2]
-    grey, other = (view.pixels.mean(axis=2).astype(np.float32) for view in (first, second))
-    mean, square = np.empty_like(grey), np.empty_like(grey)
-    kernels.window_means(grey, np.zeros(grey.shape[1]), mean)
-    kernels.window_means(grey * grey, np.zeros(grey.shape[1]), square)
-    deviation = np.sqrt(np.nan_to_num(square - mean * mean)).astype(np.float32)
+    grey, other = (np.rint(view.pixels.mean(axis=2)).astype(np.float32) for view in (first, second))
+    own = _matched(replace(first, pixels=np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)), grey.size)
     rotations, offsets = _through(first.camera, [second.camera])
     scores = np.empty_like(grey)
-    empty = (np.empty_like(grey), np.empty_like(grey), np.empty((3, grey.shape[1])))
-    spans = kernels.spans_of(deviation > 0)
+    empty = np.empty_like(grey), np.empty_like(grey), np.empty((3, grey.shape[1]), np.float32)
     kernels.plane_scores(
-        *(grey, mean, deviation, spans, other[None], rotations, offsets, 1 / 3.1, *empty, scores)
+        *(own.grey, own.sums, own.deviation, own.spans, kernels.pieces_of(other)[None], rotations, offsets),
+        *(1 / 3.1, *empty, np.empty((len(grey), 2), np.int32), scores),
     )
     compared = 0
     for y, x in zip(rng.integers(3, SIZE[1] - 3, 60), rng.integers(3, SIZE[0] - 3, 60), strict=True):

@@ -308,6 +308,30 @@ def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], foun
     hand.press("Escape")
 
 
+def trains_on_copies(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """A capture of which only smaller copies of the photos are there, dropped, looked at, and trained on."""
+    hand.settle()
+    state = app.feature(TrainingStart)
+    hand.drop(options["capture"])
+    hand.frames(4)
+    shoot(hand, "copies_dropped")
+    hand.ctx.item_click("//Photos with cameras/Train on the photos")
+    hand.wait(lambda: state.found is not None, "the photos to be found")
+    hand.wait(lambda: not app.feature(TrainForm).thumbnails.busy, "the photos' pictures")
+    assert state.found is not None
+    found["photos"], found["size"] = len(state.found.photos), state.found.size
+    state.form.length, state.form.output = "1 minute", Path(options["output"])
+    hand.frames(3)
+    shoot(hand, "copies_form")
+    hand.ctx.item_click("//Train on photos/Start training")
+    hand.wait(lambda: app.find(LiveTraining) is not None, f"the training {state.problem}")
+    training = app.feature(LiveTraining)
+    hand.wait(lambda: training.status.iteration >= 5, "some steps")
+    found["messages"] = [message.text for message in app.messages]
+    found["trained"] = [training.photos[0].shot.camera.width, training.photos[0].shot.camera.height]
+    shoot(hand, "copies_trained")
+
+
 def settings(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Themes, font size, keys and mouse of other programs, two fingers: at once, and kept."""
     hand.settle()

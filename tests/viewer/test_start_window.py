@@ -101,6 +101,21 @@ def test_captures_that_are_dropped(drive, scene_file, capture, tmp_path):
     assert found["problem"].startswith(f"{empty}: holds no capture")
 
 
+def test_a_capture_of_smaller_copies(drive, scene_file, capture, tmp_path):
+    folder = shutil.copytree(capture, tmp_path / capture.name)
+    (folder / "images").rename(folder / "images_2")
+    for photo in (folder / "images_2").iterdir():
+        with Image.open(photo) as image:
+            image.reduce(2).save(photo)
+    output = tmp_path / "trained.ply"
+    found = drive(
+        "trains_on_copies", scene_file, script="start_drives.py", capture=str(folder), output=str(output)
+    )
+    assert found["photos"] == 10 and found["size"] == [48, 36] == found["trained"]
+    assert any("images_2" in text or "copies" in text for text in found["messages"])
+    assert len(load_scene(output)), "saved when the window closed"
+
+
 def test_settings(drive, scene_file, tmp_path):
     found = drive("settings", scene_file, script="start_drives.py")
     assert found["open"] == "settings"
