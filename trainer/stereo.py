@@ -135,12 +135,12 @@ class _How(NamedTuple):
     sources: int = SOURCES
 
 
-SURVEY, CLOSELY = _How(PIXELS // 4, 0.03, 32, 2), _How(PIXELS // 2, 0.015, 46)
+SURVEY, CLOSELY = _How(PIXELS // 4, 0.03, 32), _How(PIXELS // 2, 0.015, 46)
 """A first look at all depths, and one at those where it has found something. In fewer pixels a step from
-plane to plane moves what is seen by less, so that fewer planes do. Dropped for its time: 64 planes in PIXELS,
-and 4 neighbours in the first look, 65 s on `terrace` where these take 17 (40 photos, two cores of an EPYC).
-By it `terrace` has 17.74 dB in place of 17.17, `mouse` 25.76 of 25.59, `banana` 27.90 of 27.63, `fruit` 28.69
-of 28.60 (stereo_depths.json, in which stereo costs nothing)."""
+plane to plane moves what is seen by less, so that fewer planes do. With 2 neighbours in the first look, in
+place of 4, `terrace` has 17.00 and 16.87 dB by two seeds in place of 17.42. Dropped for their time: PIXELS in
+the second (17.41; 16.91 by 2 neighbours in the first), and 64 planes, too (17.54, 16.96; stereo_depths.json,
+in which stereo costs nothing)."""
 
 
 def stereo_points(

@@ -42,6 +42,12 @@ PERSPECTIVE = ("", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPEN
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 """Names of lenses in ``camera_model``; the coefficients decide what is left of them."""
 
+MATRICES = ("K", "intrinsics", "intrinsic_matrix")
+"""Keys by which some programs write intrinsics, px, as a matrix."""
+
+LEAST_SKEW = 1e-3
+"""Of the focal length, below which axes are perpendicular: less than half a pixel from a photo's middle."""
+
 Frames = tuple[Path, bool | None]
 """A file, and whether its photos are held out (None: it does not say)."""
 
@@ -205,19 +211,34 @@ def _camera(values: Mapping[str, Any], where: str, photo: Path, name: str) -> Ca
 
     fx = _focal(values, "x", width, where)
     fy = _focal(values, "y", height, where)
+    cx, cy = width / 2, height / 2
     if fx is None and fy is None:
-        raise InputError(f"{where}: has neither fl_x nor camera_angle_x; the focal length is unknown")
+        matrix = next((key for key in MATRICES if key in values), None)
+        if matrix is None:
+            raise InputError(f"{where}: has neither fl_x nor camera_angle_x; the focal length is unknown")
+        fx, fy, cx, cy = _intrinsics(values, matrix, where)
     return Camera(
         width=width,
         height=height,
         fx=fx or fy or 0.0,
         fy=fy or fx or 0.0,
-        cx=_optional(values, "cx", width / 2, where),
-        cy=_optional(values, "cy", height / 2, where),
+        cx=_optional(values, "cx", cx, where),
+        cy=_optional(values, "cy", cy, where),
         world_to_camera=_world_to_camera(values, where),
         name=name,
         lens=_lens(values, where),
     )
+
+
+def _intrinsics(values: Mapping[str, Any], key: str, where: str) -> tuple[float, float, float, float]:
+    """Focal lengths and principal point of a matrix, 3x3 or larger."""
+    rows = values[key]
+    size = len(rows) if isinstance(rows, list) and len(rows) == 4 else 3
+    matrix = array(values, key, (size, size), where)
+    (fx, skew, cx), (shear, fy, cy), last = matrix[:3, :3]
+    if not (abs(skew) <= LEAST_SKEW * fx and shear == 0 and (last == (0, 0, 1)).all()):
+        raise InputError(f"{where}: {key!r} must be a matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    return float(fx), float(fy), float(cx), float(cy)
 
 
 def _lens(values: Mapping[str, Any], where: str) -> Lens:

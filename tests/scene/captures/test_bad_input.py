@@ -200,6 +200,25 @@ def load_fine(folder: Path, content: dict) -> bool:
     return len(load_capture(folder).photos) == 3
 
 
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        ([[36, 0, 20], [0, 36, 15]], "'K' must be 3 x 3"),
+        ([36, 0, 20, 0, 36, 15, 0, 0, 1], "'K' must be 3 x 3"),
+        ([[36, 5, 20], [0, 36, 15], [0, 0, 1]], "must be a matrix [[fx, 0, cx]"),
+        ([[36, 0, 0], [0, 36, 0], [20, 15, 1]], "must be a matrix [[fx, 0, cx]"),
+        ([[36, 0, float("nan")], [0, 36, 15], [0, 0, 1]], "frame 0"),
+        ([[-36, 0, 20], [0, 36, 15], [0, 0, 1]], "frame 0"),
+        ("36", "'K' must be 3 x 3"),
+    ],
+)
+def test_intrinsics_as_a_matrix(tmp_path, good, matrix, message):
+    del good["fl_x"]
+    good["K"] = matrix
+    (tmp_path / "transforms.json").write_text(json.dumps(good))
+    assert message in refused(tmp_path)
+
+
 def test_angle_of_view(tmp_path, good):
     del good["fl_x"]
     good["camera_angle_x"] = 45

@@ -87,6 +87,24 @@ def test_nerfstudio(tmp_path, frames, photos, transforms, cameras_of, rng):
     assert np.abs(capture.point_colours - colours * 255).max() <= 0.51
 
 
+@pytest.mark.parametrize("key", ["K", "intrinsics", "intrinsic_matrix"])
+@pytest.mark.parametrize("size", [3, 4])
+def test_intrinsics_as_a_matrix(tmp_path, frames, photos, transforms, key, size):
+    """As programs of research write them: of each frame, or of all."""
+    own = np.eye(size)
+    own[:2, :3] = (50.0, 0, 21.0), (0, 51.0, 16.0)
+    shared = own + 0
+    shared[:2, :3] = (36.2, 0, 19.5), (0, 36.3, 15.5)
+    frames[3] |= {key: own.tolist()}
+    transforms(tmp_path / "transforms.json", frames, w=40, h=30, **{key: shared.tolist()})
+    for i, values in ((2, (36.2, 36.3, 19.5, 15.5)), (3, (50.0, 51.0, 21.0, 16.0))):
+        camera = load_capture(tmp_path).photos[i].camera
+        assert (camera.fx, camera.fy, camera.cx, camera.cy) == values
+    transforms(tmp_path / "transforms.json", frames, w=40, h=30, fl_x=36.0, **{key: shared.tolist()})
+    camera = load_capture(tmp_path).photos[3].camera
+    assert (camera.fx, camera.cx) == (36.0, 20.0), "a matrix is for want of a focal length"
+
+
 def test_point_cloud_with_byte_colours(tmp_path, frames, photos, transforms):
     lines = ["ply", "format ascii 1.0", "element vertex 5"]
     lines += [f"property float {name}" for name in "xyz"]
