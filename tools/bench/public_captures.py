@@ -50,8 +50,8 @@ class PublicCapture:
     commit: str = "HEAD"
     """Of the repository, that has the photos."""
     poses: str = ""
-    """Folder of the model in the repository, by which its owner posed them, POSES_BOUNDS or POSES_JSON;
-    empty: they are posed here."""
+    """Folder of the model in the repository, by which its owner posed them, POSES_BOUNDS or POSES_JSON, or
+    TRANSFORMS beside the photos' folder; empty: they are posed here."""
     cut_out: bool = False
     """Whether the repository has masks, in a folder of their own, that say where nothing is."""
     every: int = 1
@@ -94,6 +94,10 @@ PUBLIC = {
     "office": PublicCapture("judge", "antoniocarevic/diplomski123", "images", 4, poses=POSES_JSON),
     "terrace": PublicCapture("choose", "Vincent7140/dataset_perso", "", 1, poses=POSES_JSON, every=2),
     "fruit": PublicCapture("judge", "tusharparimi/fruit-NeRF", "newfruit_small", 2, poses=POSES_JSON),
+    "carton": PublicCapture("judge", "Scodive/Data", "images", 4, poses=POSES_BOUNDS),
+    "games": PublicCapture("judge", "RugvedMavidipalli/hardtopointout", "data/myimages", 3, poses=POSES_JSON),
+    "milk": PublicCapture("judge", "zhouyou9505/milk", "images", 3, poses=POSES_BOUNDS),
+    "stitch": PublicCapture("judge", "lambkin108/TensoRF_mydata", "data/mydata/train", 2, poses=TRANSFORMS),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
@@ -104,7 +108,8 @@ renderings by which NeRF was first measured (Mildenhall et al. 2020), at a quart
 figurine on paper; a palm in a hall, seen from 20 places side by side (Mildenhall et al. 2019); a statue in
 many people's photos, in any weather, and a small sculpture, both cut out by masks (Boss et al. 2021); a toy
 cat whose photos are transparent around it; a room of an office, by a phone, whose poses are wrong; a terrace
-before a desert, walked along with a camera; fruit on a sheet, by a phone."""
+before a desert, walked along with a camera; fruit on a sheet, by a phone; a carton of tea on a table in an
+office; games on a carpet; a carton of milk, cut out before white; a figure on a table in a flat."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:
@@ -222,13 +227,14 @@ def main() -> None:
         if (folder / "whole").exists():
             continue
         git = git_folder(options.clones, capture.repository)
-        images = folder / (Path(capture.folder).name if capture.rendered else "images")
+        beside = capture.rendered or capture.poses == TRANSFORMS
+        images = folder / (Path(capture.folder).name if beside else "images")
         count = extract(git, capture.commit, capture.folder, images, every=capture.every)
         if capture.cut_out:
             extract(git, capture.commit, "masks", folder / "masks")
-        if capture.rendered:
-            beside = capture.folder.rpartition("/")[0]
-            posed = f"{extract(git, capture.commit, beside, folder, (TRANSFORMS,))} file of poses"
+        if beside:
+            place = capture.folder.rpartition("/")[0]
+            posed = f"{extract(git, capture.commit, place, folder, (TRANSFORMS,))} file of poses"
         elif capture.poses == POSES_BOUNDS:
             posed = extract_bounds(git, capture, folder)
         elif capture.poses == POSES_JSON:

@@ -61,6 +61,20 @@ def test_averages_are_those_of_the_area(width, height, divide, seed):
     assert np.abs(result - by_area(image, *small)).max() <= 0.5 + 1e-3
 
 
+@pytest.mark.parametrize("factor", [2, 3, 5, 16, 300])
+def test_averages_by_whole_factors_are_exact(factor, rng):
+    """Rounded to the nearest level, halves up, as they are by areas; 300 white rows are beyond 16 bits."""
+    image = rng.integers(0, 256, size=(2 * factor, 3 * factor, 3), dtype=np.uint8)
+    image[:factor, :factor] = 255
+    sums = image.reshape(2, factor, 3, factor, 3).sum(axis=(1, 3), dtype=np.int64)
+    expected = (2 * sums + factor**2) // (2 * factor**2)
+    for channels in (1, 3):
+        found = area_averaged(np.ascontiguousarray(image[..., :channels]), 3, 2)
+        np.testing.assert_array_equal(found, expected[..., :channels])
+        beyond = area_averaged(image[..., :channels], 3, 2, (3 * factor - 1e-9, 2 * factor - 1e-9))
+        assert np.abs(found.astype(int) - beyond).max() <= 1
+
+
 def test_a_pixel_counts_only_where_all_of_it_is_valid():
     mask = np.ones((8, 8), dtype=bool)
     mask[3, 5] = False
