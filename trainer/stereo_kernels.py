@@ -113,8 +113,9 @@ def plane_scores(
     warped, second (H, W), rows (3, W) float32, seen (H, 2) int32: to work in. scores: (H, W) float32, out
     where there is texture; -1 where no source sees the window, or it has none.
 
-    Loops over x are such that LLVM makes vectors of them: no branches, whole numbers of 32 bits, and four
-    grey levels read as one. That takes a seventh of the time of a loop that goes pixel by pixel, by floats.
+    Loops over x have no branches, sums are in float32, and four grey levels are read as one: a quarter of the
+    time of a loop that asks at each pixel whether it is seen, and reads floats (270x480 px, four sources).
+    LLVM does not make vectors of them: there are more arrays than it checks for overlaps.
     """
     height = len(grey)
     count, middle = np.float32((2 * RADIUS + 1) ** 2), MIDDLE
