@@ -8,7 +8,7 @@ is wrong by much: with two of the 16 photos of `guitar RGBA 24` turned by 5 degr
 again on strangers' photographs, whose poses move by a quarter to half a pixel so: a minute of `fruit` 28.60
 and 28.54 dB (28.84 and 28.99 where cameras of photos held out are aligned to the scene, too), three splits of
 `bust` 17.22, 21.27, 16.14 and 18.25, 20.78, 15.46, two of `queen` 19.05, 20.15 and 19.46, 19.74; `statue`,
-`fox` and `banana`, whose poses are right to a tenth, 0.07 less each.
+`fox` and `banana`, whose poses are right to a tenth, 0.07 less each (poses.json).
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ PUBLIC = {
     "carton": PublicCapture("judge", "Scodive/Data", "images", 4, poses=POSES_BOUNDS),
     "games": PublicCapture("judge", "RugvedMavidipalli/hardtopointout", "data/myimages", 3, poses=POSES_JSON),
     "milk": PublicCapture("judge", "zhouyou9505/milk", "images", 3, poses=POSES_BOUNDS),
-    "stitch": PublicCapture("judge", "lambkin108/TensoRF_mydata", "data/mydata/train", 2, poses=TRANSFORMS),
+    "stitch": PublicCapture("choose", "lambkin108/TensoRF_mydata", "data/mydata/train", 2, poses=TRANSFORMS),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
