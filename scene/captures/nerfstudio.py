@@ -45,8 +45,9 @@ FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 MATRICES = ("K", "intrinsics", "intrinsic_matrix")
 """Keys by which some programs write intrinsics, px, as a matrix."""
 
-LEAST_SKEW = 1e-3
-"""Of the focal length, below which axes are perpendicular: less than half a pixel from a photo's middle."""
+MOST_SKEW = 1e-4
+"""Of the focal length, up to which axes count as perpendicular: at the border of a photo that moves what is
+seen by 1/20,000 of its height."""
 
 Frames = tuple[Path, bool | None]
 """A file, and whether its photos are held out (None: it does not say)."""
@@ -236,7 +237,7 @@ def _intrinsics(values: Mapping[str, Any], key: str, where: str) -> tuple[float,
     size = len(rows) if isinstance(rows, list) and len(rows) == 4 else 3
     matrix = array(values, key, (size, size), where)
     (fx, skew, cx), (shear, fy, cy), last = matrix[:3, :3]
-    if not (abs(skew) <= LEAST_SKEW * fx and shear == 0 and (last == (0, 0, 1)).all()):
+    if not (abs(skew) <= MOST_SKEW * fx and shear == 0 and (last == (0, 0, 1)).all()):
         raise InputError(f"{where}: {key!r} must be a matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     return float(fx), float(fy), float(cx), float(cy)
 

@@ -112,7 +112,7 @@ def test_a_capture_of_smaller_copies(drive, scene_file, capture, tmp_path):
         "trains_on_copies", scene_file, script="start_drives.py", capture=str(folder), output=str(output)
     )
     assert found["photos"] == 10 and found["size"] == [48, 36] == found["trained"]
-    assert any("images_2" in text or "copies" in text for text in found["messages"])
+    assert any("10 photos are copies in another size" in text for text in found["messages"])
     assert len(load_scene(output)), "saved when the window closed"
 
 

@@ -18,6 +18,7 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +107,17 @@ def one_way(trainer: Any, what: str, count: int, kept: dict[str, Any]) -> None:
             loss = photo_loss(frame.image, view.pixels, workspace)
             arrays, reuse = trainer.splats.arrays, kept["gradients"]
             kept["gradients"] = differentiate(arrays, frame, loss.d_image, reuse=reuse)
+
+
+def answer(once: Callable[[], object]) -> None:
+    """In a worker's process: runs `once` as often as each line asked says, and answers with the seconds and
+    processor seconds."""
+    for line in sys.stdin:
+        count = int(line.split()[1])
+        begun, used = time.perf_counter(), time.process_time()
+        for _ in range(count):
+            once()
+        print(time.perf_counter() - begun, time.process_time() - used, flush=True)
 
 
 class Worker:

@@ -12,11 +12,10 @@ import argparse
 import inspect
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
-from bench_torch_loop import Worker, in_turn
+from bench_torch_loop import Worker, answer, in_turn
 
 CASES = (
     ("step", 20_000, (256, 256)),
@@ -54,12 +53,7 @@ def work(kind: str, splats: int, width: int, height: int) -> None:
     for _ in range(3):
         once()
     print("ready", flush=True)
-    for line in sys.stdin:
-        count = int(line.split()[1])
-        begun, used = time.perf_counter(), time.process_time()
-        for _ in range(count):
-            once()
-        print(time.perf_counter() - begun, time.process_time() - used, flush=True)
+    answer(once)
 
 
 class KernelWorker(Worker):

@@ -12,12 +12,11 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from bench_torch_loop import Worker, in_turn
+from bench_torch_loop import Worker, answer, in_turn
 
 CASES = (("terrace", True), ("fruit", True), ("banana", True), ("skull RGBA 100", False))
 """Capture, and whether it shows something everywhere."""
@@ -46,12 +45,7 @@ def work(name: str, data: Path, made: Path, everywhere: bool) -> None:
 
     once()
     print(once(), flush=True)
-    for line in sys.stdin:
-        count = int(line.split()[1])
-        begun, used = time.perf_counter(), time.process_time()
-        for _ in range(count):
-            once()
-        print(time.perf_counter() - begun, time.process_time() - used, flush=True)
+    answer(once)
 
 
 class StereoWorker(Worker):
