@@ -128,7 +128,10 @@ def _vector_op(arity: int, emit: Callable[..., Any]) -> Any:
     def three(typingctx: Any, x: Any, y: Any, z: Any) -> Any:
         return typed(x, y, z)
 
-    return intrinsic({1: one, 2: two, 3: three}[arity])
+    def four(typingctx: Any, x: Any, y: Any, z: Any, other: Any) -> Any:
+        return typed(x, y, z, other)
+
+    return intrinsic({1: one, 2: two, 3: three, 4: four}[arity])
 
 
 fma = _vector_op(3, lambda b, v, x, y, z: call_llvm(b, f"llvm.fmuladd.{suffix(v)}", x.type, x, y, z))
@@ -151,6 +154,8 @@ keep_if_below = _vector_op(
     3, lambda b, v, x, y, z: b.select(b.fcmp_ordered("<", y, z), x, constant(x.type, 0.0))
 )
 """x where y < z, else 0."""
+choose_above = _vector_op(4, lambda b, v, y, z, x, other: b.select(b.fcmp_ordered(">", y, z), x, other))
+"""x where y > z, else the last."""
 
 
 def _emit_reciprocal(b: Any, v: Vector, x: Any) -> Any:
@@ -243,6 +248,8 @@ column_centres = _lane_constant([lane % BLOCK_WIDTH + 0.5 for lane in range(BLOC
 """x of the pixel centres of a block, from its left edge, in the type of the argument."""
 row_centres = _lane_constant([lane // BLOCK_WIDTH + 0.5 for lane in range(BLOCK_LANES)])
 """y of the pixel centres of a block, from its top edge, in the type of the argument."""
+lane_numbers = _lane_constant([float(lane) for lane in range(LANES)])
+"""0, 1, ... in the type of the argument, of LANES."""
 
 
 def address_of(context: Any, builder: Any, array_type: Any, array: Any, index: Any, llvm_type: Any) -> Any:

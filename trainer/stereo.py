@@ -118,12 +118,14 @@ class _Matched:
     camera: Camera
     colours: np.ndarray
     """(H, W, 3) uint8."""
+    textured: np.ndarray
+    """(H, W) bool, windows that can be matched."""
     grey: np.ndarray
-    """(H, W) float32, whole levels from 0 to 255, less `stereo_kernels.MIDDLE`."""
+    """Whole levels from 0 to 255, less `stereo_kernels.MIDDLE`; this and the next two are `padded`."""
     sums: np.ndarray
-    """(H, W) float32, over windows."""
+    """Over windows."""
     deviation: np.ndarray
-    """(H, W) float32, 49 times that of windows; 0 where nothing can be matched."""
+    """49 times that of windows; 0 where nothing can be matched."""
     pieces: np.ndarray
     """(H - 1, W - 1) uint32, see `stereo_kernels.pieces_of`."""
     spans: np.ndarray
@@ -234,9 +236,17 @@ def _matched(view: TrainView, pixels: int) -> _Matched:
     kernels.window_sums(grey * grey, np.zeros(grey.shape[1]), squares)
     spread = count * squares - sums * sums  # NaN at the rim
     textured = usable & (spread > kernels.LEAST_VARIANCE * count**2)
-    deviation = np.sqrt(np.where(textured, spread, 0)).astype(np.float32)
-    spans, pieces = kernels.spans_of(deviation > 0), kernels.pieces_of(levels)
-    return _Matched(camera, colours, grey, sums.astype(np.float32), deviation, pieces, spans)
+    deviation = np.sqrt(np.where(textured, spread, 0))
+    return _Matched(
+        camera=camera,
+        colours=colours,
+        textured=textured,
+        grey=kernels.padded(grey),
+        sums=kernels.padded(sums),
+        deviation=kernels.padded(deviation),
+        pieces=kernels.pieces_of(levels),
+        spans=kernels.spans_of(textured),
+    )
 
 
 def _swept(at: int, photos: Sequence[_Matched], seen: np.ndarray, how: _How) -> tuple[np.ndarray, np.ndarray]:
@@ -244,7 +254,10 @@ def _swept(at: int, photos: Sequence[_Matched], seen: np.ndarray, how: _How) -> 
     or (S, 3) with places in the photo, px, and how well they match, -1 where nothing does. By several sweeps
     those with next to none are left out, and places far from where such depths are seen."""
     photo = photos[at]
-    found, confidence = np.zeros(photo.grey.shape, np.float32), np.full(photo.grey.shape, -1, np.float32)
+    found, confidence = (
+        np.zeros(photo.textured.shape, np.float32),
+        np.full(photo.textured.shape, -1, np.float32),
+    )
     z = seen if seen.ndim == 1 else seen[:, 0]
     near, far = (float(z.min()), float(z.max())) if len(z) else (0.0, 0.0)
     if not 0 < near < far < np.inf:
@@ -253,14 +266,14 @@ def _swept(at: int, photos: Sequence[_Matched], seen: np.ndarray, how: _How) -> 
         return _swept_band(at, photos, np.linspace(1 / far, 1 / near, PLANES), how.sources, photo.spans)
     count = max(1, int(np.ceil(np.log(far / near) / np.log(BAND))))
     edges = near * (far / near) ** (np.arange(count + 1) / count)
-    pieces = None if seen.ndim == 1 else _pieces(seen, edges, photo.grey.shape)
+    pieces = None if seen.ndim == 1 else _pieces(seen, edges, photo.textured.shape)
     for number, (nearest, farthest) in enumerate(pairwise(edges)):
         if ((z >= nearest) & (z <= farthest)).sum() < LEAST_OF_A_BAND * len(z):
             continue
         spans = photo.spans
         if pieces is not None:
-            rows, columns = (np.arange(size) * CELLS // size for size in photo.grey.shape)
-            spans = kernels.spans_of((photo.deviation > 0) & pieces[number][np.ix_(rows, columns)])
+            rows, columns = (np.arange(size) * CELLS // size for size in photo.textured.shape)
+            spans = kernels.spans_of(photo.textured & pieces[number][np.ix_(rows, columns)])
         planes = 3 + int(np.ceil(how.band * (1 - nearest / farthest) / (1 - 1 / BAND)))
         # What matches best on the first or last plane is no match: two more, which sweeps share.
         step = (1 / nearest - 1 / farthest) / (planes - 3)
@@ -300,7 +313,7 @@ def _swept_band(
     """The same by planes at these inverse depths, (D,), rising evenly, and `most` so many neighbours, in
     `spans` of windows, as of `stereo_kernels.spans_of`."""
     photo = photos[at]
-    shape = photo.grey.shape
+    shape = photo.textured.shape
     found, confidence = np.zeros(shape, np.float32), np.full(shape, -1, np.float32)
     middle = photo.camera.eye + photo.camera.forward * (2 / (inverse_depths[0] + inverse_depths[-1]))
     sources = _neighbours(at, photos, middle, most)
@@ -308,17 +321,16 @@ def _swept_band(
         return found, confidence
     pieces = np.stack([photos[j].pieces for j in sources])
     rotations, offsets = _through(photo.camera, [photos[j].camera for j in sources])
-    scores, rows = np.empty((len(inverse_depths), *shape), np.float32), np.empty((3, shape[1]), np.float32)
-    warped, second, seen = (
-        np.empty(shape, np.float32),
-        np.empty(shape, np.float32),
-        np.empty((shape[0], 2), np.int32),
-    )
-    for inverse_depth, plane in zip(inverse_depths, scores, strict=True):
+    height, width = shape
+    scores = np.empty(len(inverse_depths) * height * width + kernels.LANES, np.float32)
+    warped, second = (np.empty(height * width + kernels.LANES, np.float32) for _ in range(2))
+    columns, shown = np.empty((3, width + kernels.LANES), np.float32), np.empty((height, 2), np.int32)
+    for number, inverse_depth in enumerate(inverse_depths):
         kernels.plane_scores(
-            *(photo.grey, photo.sums, photo.deviation, spans, pieces, rotations, offsets),
-            *(float(inverse_depth), warped, second, rows, seen, plane),
+            *(photo.grey, photo.sums, photo.deviation, width, spans, pieces, rotations, offsets),
+            *(float(inverse_depth), warped, second, columns, shown, scores[number * height * width :]),
         )
+    scores = scores[: -kernels.LANES].reshape(-1, height, width)
     work = np.empty(shape[1], np.int32), *(np.empty(shape[1], np.float32) for _ in range(2))
     kernels.best_planes(scores, inverse_depths, spans, *work, found, confidence)
     return found, confidence
@@ -345,7 +357,7 @@ def _neighbours(at: int, photos: Sequence[_Matched], middle: np.ndarray, most: i
     own = photos[at]
     ray, worth = own.camera.eye - middle, []
     for other, photo in enumerate(photos):
-        if other == at or photo.grey.shape != own.grey.shape:
+        if other == at or photo.textured.shape != own.textured.shape:
             continue
         if not photo.camera.forward @ own.camera.forward > 0.5:
             continue
@@ -375,10 +387,10 @@ def _confirmed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Places and colours of a photo's pixels whose depth others share, be they its neighbours or not."""
     photo, (inverse_depth, confidence) = photos[at], depths[at]
-    others = [j for j in range(len(photos)) if j != at and photos[j].grey.shape == photo.grey.shape]
+    others = [j for j in range(len(photos)) if j != at and photos[j].textured.shape == photo.textured.shape]
     if not others:
         return np.empty((0, 3)), np.empty((0, 3), np.uint8)
-    counts = np.empty(photo.grey.shape, np.int32)
+    counts = np.empty(photo.textured.shape, np.int32)
     kernels.agreeing(
         *(inverse_depth, confidence, LEAST_SCORE),
         *(np.stack([depths[j][part] for j in others]) for part in (0, 1)),

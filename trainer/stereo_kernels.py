@@ -2,9 +2,32 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
 
 from splatview.raster.compiling import inline, kernel
+from splatview.raster.simd import (
+    LANES,
+    Vector,
+    address_of,
+    choose_above,
+    constant,
+    divide,
+    emit_spread,
+    fill,
+    floor,
+    fma,
+    intrinsic,
+    is_flat,
+    lane_numbers,
+    load,
+    spread,
+    sqrt,
+    store,
+)
 
 RADIUS = 3
 """Windows of 7 x 7 px."""
@@ -29,6 +52,11 @@ def pieces_of(levels: np.ndarray) -> np.ndarray:
     levels = levels.astype(np.uint32)
     above, below = levels[:-1], levels[1:]
     return np.ascontiguousarray(above[:, :-1] | above[:, 1:] << 8 | below[:, :-1] << 16 | below[:, 1:] << 24)
+
+
+def padded(picture: np.ndarray) -> np.ndarray:
+    """(H·W + LANES,) float32: a picture (H, W), flat, and zeros that vectors may reach into."""
+    return np.pad(picture.ravel().astype(np.float32), (0, LANES))
 
 
 @inline
@@ -85,11 +113,38 @@ def spans_of(textured: np.ndarray) -> np.ndarray:
     return np.stack([middles, covered]).astype(np.int32)
 
 
+@intrinsic
+def _four_levels(typingctx: Any, pieces: Any, left: Any, top: Any, stride: Any) -> Any:
+    """The grey levels that `pieces`, flat, has at columns and rows, vectors of whole numbers, `stride` int32
+    to a row: a tuple of four vectors, in the order of `pieces_of`. No bounds are checked."""
+    if not (is_flat(pieces) and pieces.dtype == types.uint32 and isinstance(left, Vector) and left == top):
+        return None
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        word = ir.IntType(32)
+        words = ir.VectorType(word, LANES)
+        rows = builder.mul(builder.fptosi(args[2], words), emit_spread(builder, args[3]))
+        places = builder.add(rows, builder.fptosi(args[1], words))
+        four = ir.Constant(words, ir.Undefined)
+        for lane in (ir.Constant(word, lane) for lane in range(LANES)):
+            place = builder.sext(builder.extract_element(places, lane), ir.IntType(64))
+            address = address_of(context, builder, pieces, args[0], place, word)
+            four = builder.insert_element(four, builder.load(address, align=4), lane)
+        levels = []
+        for shift in range(0, 32, 8):
+            level = builder.and_(builder.lshr(four, constant(words, shift)), constant(words, 255))
+            levels.append(builder.sitofp(level, args[1].type))
+        return cgutils.pack_array(builder, levels)
+
+    return types.UniTuple(left, 4)(pieces, left, top, types.int32), codegen
+
+
 @kernel
 def plane_scores(
     grey,
     sums,
     deviation,
+    width,
     spans,
     sources,
     rotations,
@@ -97,37 +152,35 @@ def plane_scores(
     inverse_depth,
     warped,
     second,
-    rows,
+    columns,
     seen,
     scores,
 ):
     """Normalised cross-correlation of each window with the same piece of a plane in other photos: the mean of
     the two best, and of one alone LONELY less.
 
-    grey (H, W) float32: levels of the photo, less MIDDLE, whole numbers. sums, deviation (H, W) float32: of
-    its windows, sums of these, and how far they spread, 49 times the standard deviation; 0 where there is no
-    texture. spans (2, H, 2) int32: of each row the columns with texture, from the first to the one after the
-    last, and those that such windows cover, see `spans_of`. sources: (S, h, w) uint32, other photos, see
-    `pieces_of`. rotations (S, 3, 3), offsets (S, 3): a pixel (u, v) at inverse depth d is seen at
-    rotation @ (u, v, 1) + d * offset.
-    warped, second (H, W), rows (3, W) float32, seen (H, 2) int32: to work in. scores: (H, W) float32, out
+    Of the photo, (H, width), flat and LANES longer, see `padded`, float32: grey, its levels, whole numbers,
+    less MIDDLE; sums over windows of these; deviation, how far they spread, 49 times the standard deviation,
+    0 where there is no texture. spans (2, H, 2) int32: of each row the columns with texture, from the first
+    to the one after the last, and those that such windows cover, see `spans_of`. sources: (S, h, w) uint32,
+    other photos, see `pieces_of`. rotations (S, 3, 3), offsets (S, 3): a pixel (u, v) at inverse depth d is
+    seen at rotation @ (u, v, 1) + d * offset.
+    warped, second, as long, columns (3, width + LANES), float32, seen (H, 2) int32: to work in. scores: out
     where there is texture; -1 where no source sees the window, or it has none.
-
-    Loops over x have no branches, sums are in float32, and four grey levels are read as one: a quarter of the
-    time of a loop that asks at each pixel whether it is seen, and reads floats (270x480 px, four sources).
-    LLVM does not make vectors of them: there are more arrays than it checks for overlaps.
     """
-    height = len(grey)
+    height = spans.shape[1]
     count, middle = np.float32((2 * RADIUS + 1) ** 2), MIDDLE
     least = np.float32(LEAST_VARIANCE) * count * count
     for y in range(height):
-        for x in range(spans[0, y, 0], spans[0, y, 1]):
-            scores[y, x] = second[y, x] = np.float32(-1)
+        for x in range(y * width + spans[0, y, 0], y * width + spans[0, y, 1]):
+            scores[x] = second[x] = np.float32(-1)
     h, w = sources.shape[1], sources.shape[2]
     pieces = sources.reshape(len(sources), h * w)
-    zero, half, one = np.float32(0), np.float32(0.5), np.float32(1)
-    right, bottom, byte = np.float32(w), np.float32(h), np.uint32(255)
-    stride, last_left, last_top = np.int32(w), np.int32(w - 1), np.int32(h - 1)
+    a_row, c_row, p_row = columns[0], columns[1], columns[2]
+    lanes = lane_numbers(spread(np.float32(0)))
+    zero, half, none = np.float32(0), np.float32(0.5), fill(lanes, -1)
+    right, bottom = fill(lanes, w), fill(lanes, h)
+    last_left, last_top, stride = fill(lanes, w - 1), fill(lanes, h - 1), np.int32(w)
     for source in range(len(sources)):
         image, A, b = pieces[source], rotations[source], offsets[source]
         a0, a1, a2 = np.float32(A[0, 0]), np.float32(A[1, 0]), np.float32(A[2, 0])
@@ -149,21 +202,18 @@ def plane_scores(
                 first, end = int(np.ceil(low - 0.5)), int(np.floor(high - 0.5)) + 1
             seen[y, 0], seen[y, 1] = first, end
             p0, p1, p2 = np.float32(q0), np.float32(q1), np.float32(q2)
-            for x in range(first, end):
-                u = np.float32(np.int32(x)) + half
-                inverse = one / (p2 + a2 * u)
-                column = min(max((p0 + a0 * u) * inverse - half, zero), right)
-                row = min(max((p1 + a1 * u) * inverse - half, zero), bottom)
-                left, top = min(np.int32(column), last_left), min(np.int32(row), last_top)
-                s, t = column - np.float32(left), row - np.float32(top)
-                four = image[np.uint32(np.int32(top * stride) + left)]
-                top_left = np.float32(np.int32(four & byte))
-                top_right = np.float32(np.int32(four >> np.uint32(8) & byte))
-                low_left = np.float32(np.int32(four >> np.uint32(16) & byte))
-                low_right = np.float32(np.int32(four >> np.uint32(24)))
-                above = top_left + s * (top_right - top_left)
-                below = low_left + s * (low_right - low_left)
-                warped[y, x] = above + t * (below - above) - middle
+            for x in range(first, end, LANES):
+                u = lanes + (np.float32(x) + half)
+                inverse = divide(fill(u, 1), u * a2 + p2)
+                # Lanes after the end may be beyond the photo, or NaN, which is 0 so.
+                column = min(max((u * a0 + p0) * inverse - half, zero), right)
+                row = min(max((u * a1 + p1) * inverse - half, zero), bottom)
+                left, top = min(floor(column), last_left), min(floor(row), last_top)
+                s, t = column - left, row - top
+                top_left, top_right, low_left, low_right = _four_levels(image, left, top, stride)
+                above = fma(s, top_right - top_left, top_left)
+                below = fma(s, low_right - low_left, low_left)
+                store(warped, y * width + x, fma(t, below - above, above) - middle)
         # Sums over windows, of the warped picture, its square and its product with the photo.
         for y in range(RADIUS, height - RADIUS):
             first, end = spans[0, y, 0], spans[0, y, 1]
@@ -171,32 +221,37 @@ def plane_scores(
                 first, end = max(first, seen[y + dy, 0] + RADIUS), min(end, seen[y + dy, 1] - RADIUS)
             if not first < end:
                 continue
-            for x in range(first - RADIUS, end + RADIUS):
-                a = c = p = zero
+            for x in range(first - RADIUS, end + RADIUS, LANES):
+                a = c = p = fill(lanes, 0)
                 for dy in range(-RADIUS, RADIUS + 1):
-                    value = warped[y + dy, x]
-                    a += value
-                    c += value * value
-                    p += value * grey[y + dy, x]
-                rows[0, x], rows[1, x], rows[2, x] = a, c, p
-            for x in range(first, end):
-                a = c = p = zero
-                for dx in range(-RADIUS, RADIUS + 1):
-                    a += rows[0, x + dx]
-                    c += rows[1, x + dx]
-                    p += rows[2, x + dx]
-                spread = count * c - a * a
-                has_texture = (spread > least) & (deviation[y, x] > 0)
-                score = (count * p - a * sums[y, x]) / (np.sqrt(spread) * deviation[y, x])
-                score = score if has_texture else -one
-                best = scores[y, x]
-                second[y, x] = max(second[y, x], min(best, score))
-                scores[y, x] = max(best, score)
+                    value = load(warped, (y + dy) * width + x)
+                    a = a + value
+                    c = fma(value, value, c)
+                    p = fma(value, load(grey, (y + dy) * width + x), p)
+                store(a_row, x, a)
+                store(c_row, x, c)
+                store(p_row, x, p)
+            for x in range(first, end, LANES):
+                a = c = p = fill(lanes, 0)
+                for dx in range(x - RADIUS, x + RADIUS + 1):
+                    a = a + load(a_row, dx)
+                    c = c + load(c_row, dx)
+                    p = p + load(p_row, dx)
+                at = y * width + x
+                own, best = load(deviation, at), load(scores, at)
+                variance = c * count - a * a
+                score = divide(p * count - a * load(sums, at), sqrt(variance) * own)
+                # Nothing without texture, of either, nor after the end.
+                score = choose_above(variance, fill(lanes, least), score, none)
+                score = choose_above(own, fill(lanes, 0), score, none)
+                score = choose_above(fill(lanes, end - x), lanes, score, none)
+                store(second, at, max(load(second, at), min(best, score)))
+                store(scores, at, max(best, score))
     if len(sources) > 1:
         for y in range(height):
-            for x in range(spans[0, y, 0], spans[0, y, 1]):
-                best, other = scores[y, x], second[y, x]
-                scores[y, x] = half * (best + other) if other > -1 else best - LONELY
+            for x in range(y * width + spans[0, y, 0], y * width + spans[0, y, 1]):
+                best, other = scores[x], second[x]
+                scores[x] = half * (best + other) if other > -1 else best - LONELY
 
 
 @kernel

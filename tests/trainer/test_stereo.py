@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from splatview.raster.simd import LANES
 from splatview.scene import Lens
 from splatview.scene.camera import look_at
 from splatview.scene.lens import undistort
@@ -197,12 +198,13 @@ def test_scores_are_correlations_of_windows(photos, rng):
     grey, other = (np.rint(view.pixels.mean(axis=2)).astype(np.float32) for view in (first, second))
     own = _matched(replace(first, pixels=np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)), grey.size)
     rotations, offsets = _through(first.camera, [second.camera])
-    scores = np.empty_like(grey)
-    empty = np.empty_like(grey), np.empty_like(grey), np.empty((3, grey.shape[1]), np.float32)
+    flat, width = np.empty_like(own.grey), grey.shape[1]
+    work = flat, flat.copy(), np.empty((3, width + LANES), np.float32), np.empty((len(grey), 2), np.int32)
     kernels.plane_scores(
-        *(own.grey, own.sums, own.deviation, own.spans, kernels.pieces_of(other)[None], rotations, offsets),
-        *(1 / 3.1, *empty, np.empty((len(grey), 2), np.int32), scores),
+        *(own.grey, own.sums, own.deviation, width, own.spans, kernels.pieces_of(other)[None]),
+        *(rotations, offsets, 1 / 3.1, *work, scores := flat.copy()),
     )
+    scores = scores[:-LANES].reshape(grey.shape)
     compared = 0
     for y, x in zip(rng.integers(3, SIZE[1] - 3, 60), rng.integers(3, SIZE[0] - 3, 60), strict=True):
         rows, columns = np.mgrid[y - 3 : y + 4, x - 3 : x + 4]
