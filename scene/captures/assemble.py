@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -62,6 +63,7 @@ def capture_of(
 ) -> Capture:
     """Raises InputError, Cancelled."""
     entries, twice = _unique(posed.entries)
+    entries, copies = _without_copies(entries)
     _check_count(posed, [entry.name for entry in entries])
     entries, statistics = _without_lenses_that_do_not_show(entries, downscale)
     held_out = _held_out(entries)
@@ -120,6 +122,10 @@ def capture_of(
         )
     if twice:
         warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {some(twice)}")
+    if copies:
+        warnings.append(
+            f"{len(copies)} photos are copies of others, with their pose, and are left out: {some(copies)}"
+        )
     if lens == "undistort":
         warnings += _lens_notes(entries)
     usable = np.all(np.abs(posed.points) <= LARGEST_RADIUS, axis=1)
@@ -184,6 +190,35 @@ def _unique(entries: Sequence[PosedPhoto]) -> tuple[list[PosedPhoto], list[str]]
     by_name: dict[str, PosedPhoto] = {}
     twice = [entry.name for entry in entries if by_name.setdefault(entry.name, entry) is not entry]
     return [by_name[name] for name in sorted(by_name)], twice
+
+
+def _without_copies(entries: Sequence[PosedPhoto]) -> tuple[list[PosedPhoto], list[str]]:
+    """Without photos whose file and pose are those of another, one that is trained on where there is one, and
+    the names of the copies. Some people's files hold out what they train on; so nothing is held out by them
+    where all of it would go."""
+    kept: dict[bytes, list[PosedPhoto]] = {}
+    copies = []
+    for entry in sorted(entries, key=lambda entry: entry.held_out is True):
+        same_pose = kept.setdefault(entry.camera.world_to_camera.tobytes(), [])
+        if any(
+            _intrinsics(entry.camera) == _intrinsics(other.camera) and _is_same_file(entry.path, other.path)
+            for other in same_pose
+        ):
+            copies.append(entry.name)
+        else:
+            same_pose.append(entry)
+    gone = set(copies)
+    left = [entry for entry in entries if entry.name not in gone]
+    if any(entry.held_out for entry in entries) and not any(entry.held_out for entry in left):
+        left = [replace(entry, held_out=None) for entry in left]
+    return left, sorted(copies)
+
+
+def _is_same_file(one: Path, other: Path) -> bool:
+    try:
+        return filecmp.cmp(one, other, shallow=False)
+    except OSError:  # whoever reads the photos says so
+        return False
 
 
 def _check_count(posed: PosedPhotos, names: Sequence[str]) -> None:

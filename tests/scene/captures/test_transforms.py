@@ -52,6 +52,30 @@ def test_nerf_synthetic(tmp_path, png, pixels_of, cameras_of, transforms, to_ope
     assert np.abs(photo.image() - over).max() <= 0.51
 
 
+@pytest.mark.parametrize("held_out", [9, 3])
+def test_photos_that_are_held_out_and_trained_on_are_trained_on(
+    tmp_path, photos, frames, transforms, png, pixels_of, cameras_of, to_opengl, held_out
+):
+    """All that is held out, so that the usual split decides, or some; others from the same place stay."""
+    transforms(tmp_path / "transforms_train.json", frames, **INTRINSICS)
+    listed = []
+    for i, camera in enumerate(cameras_of(9)[:held_out]):
+        png(tmp_path / f"test/{i}.png", pixels_of(i))
+        listed.append({"file_path": f"test/{i}.png", "transform_matrix": to_opengl(camera)})
+    if held_out == 3:
+        png(tmp_path / "test/later.png", pixels_of(20))
+        listed.append({"file_path": "test/later.png", "transform_matrix": to_opengl(cameras_of(9)[0])})
+    transforms(tmp_path / "transforms_test.json", listed, **INTRINSICS)
+    capture = load_capture(tmp_path)
+    (warning,) = [line for line in capture.warnings if "copies" in line]
+    assert (
+        warning.startswith(f"{held_out} photos are copies of others, with their pose") and "test/0" in warning
+    )
+    by_rule = ["images/0.png", "images/8.png"]
+    assert [photo.name for photo in capture.held_out] == (["test/later.png"] if held_out == 3 else by_rule)
+    assert len(capture.train) == (9 if held_out == 3 else 7)
+
+
 def test_opaque_photos_need_no_background(tmp_path, frames, png, transforms, pixels_of):
     for i in range(9):
         rgba = pixels_of(i, channels=4)
