@@ -11,10 +11,15 @@ import numpy as np
 
 from splatview.scene.captures.assemble import FILE_NAME, capture_name, capture_of, read_camera_list
 from splatview.scene.captures.capture import DEFAULT_LENS_USE, Capture, LensUse, MaskUse, PosedPhotos
-from splatview.scene.captures.colmap import find_colmap, find_part_of_colmap, read_colmap
+from splatview.scene.captures.colmap import (
+    find_colmap,
+    find_part_of_colmap,
+    find_undistorted,
+    read_colmap,
+)
 from splatview.scene.captures.llff import POSES_BOUNDS, read_poses_bounds
 from splatview.scene.captures.nerfstudio import find_transforms, read_transforms
-from splatview.scene.captures.photo_files import fitted_to_copies, unposed
+from splatview.scene.captures.photo_files import fitted_to_copies, may_hold_photos, unposed
 from splatview.scene.errors import InputError
 from splatview.scene.progress import NO_PROGRESS, Progress
 
@@ -80,8 +85,9 @@ def _read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
     if not os.path.isdir(path):
         problem = "is no capture; name its folder" if os.path.lexists(path) else "no such folder"
         raise InputError(f"{path}: {problem}")
-    model = find_colmap(path)
-    if model is not None:
+    model, undistorted = find_colmap(path), find_undistorted(path)
+    # In a workspace of COLMAP's the model may be of photos that are elsewhere.
+    if model is not None and (undistorted is None or may_hold_photos(path)):
         return path, read_colmap(path, model, progress)
     transforms = find_transforms(path)
     if transforms:
@@ -90,6 +96,8 @@ def _read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
         return path, read_camera_list(path, path / FILE_NAME)
     if os.path.isfile(path / POSES_BOUNDS):
         return path, read_poses_bounds(path, path / POSES_BOUNDS, progress)
+    if undistorted is not None:
+        return path, _read_poses(undistorted, progress)[1]
     part = find_part_of_colmap(path)
     if part is not None:
         raise InputError(

@@ -16,7 +16,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from splatview.scene.captures.capture import AT_ONCE, Files, PosedPhoto, PosedPhotos, check_photos, tidy_name
-from splatview.scene.captures.photo_files import photo_folders
+from splatview.scene.captures.photo_files import FOLDERS, photo_folders
 from splatview.scene.errors import InputError
 from splatview.scene.formats.colmap import (
     find_model,
@@ -24,6 +24,7 @@ from splatview.scene.formats.colmap import (
     image_lens,
     images_file,
     models_in,
+    numbered,
     posed_images,
     read_cameras,
     read_images,
@@ -45,6 +46,10 @@ _POINT = np.dtype(
 
 DISTORTED = "distorted/sparse"
 """Where the 3DGS trainer keeps models of photos whose lens is still in them."""
+
+
+DENSE = "dense"
+"""Where COLMAP puts photos that it takes out of their lens."""
 
 
 class Model(NamedTuple):
@@ -88,6 +93,15 @@ def find_colmap(folder: Path) -> Model | None:
         others |= {model: count for model, count in larger.items() if count > counts[most]}
         return Model(most, counts[most], others)
     return None
+
+
+def find_undistorted(folder: Path) -> Path | None:
+    """The capture in a workspace of COLMAP whose photos have no lens any more: ``dense``, or of ``dense/0``
+    and so on, as automatic reconstruction has it, that of most poses; None where there is none."""
+    dense = folder / DENSE
+    places = [place for place in (dense, *numbered(dense)) if os.path.isdir(place / FOLDERS[0])]
+    models = {place: found for place in places if (found := find_colmap(place))}
+    return max(models, key=lambda place: posed_images(models[place].folder), default=None)
 
 
 def find_part_of_colmap(folder: Path) -> Path | None:

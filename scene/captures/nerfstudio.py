@@ -42,6 +42,8 @@ PERSPECTIVE = ("", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPEN
 FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 """Names of lenses in ``camera_model``; the coefficients decide what is left of them."""
 
+PANORAMAS = ("EQUIRECTANGULAR", "SPHERICAL")
+
 MATRICES = ("K", "intrinsics", "intrinsic_matrix")
 """Keys by which some programs write intrinsics, px, as a matrix."""
 
@@ -249,7 +251,8 @@ def _lens(values: Mapping[str, Any], where: str) -> Lens:
     if kind in FISHEYE or values.get("is_fisheye") is True:
         model, distortion = "OPENCV_FISHEYE", (k1, k2, k3, k4)
     elif kind not in PERSPECTIVE:
-        raise InputError(f"{where}: lenses of the kind {excerpt(kind)} cannot be used; undistort the photos")
+        what = "cut them into views of a pinhole camera" if kind in PANORAMAS else "undistort the photos"
+        raise InputError(f"{where}: lenses of the kind {excerpt(kind)} cannot be used; {what}")
     elif kind == "FULL_OPENCV":
         model, distortion = kind, (k1, k2, p1, p2, k3, k4, k5, k6)
     else:

@@ -35,6 +35,13 @@ def photo_folders(folder: Path) -> Iterator[Path]:
     yield folder
 
 
+def may_hold_photos(folder: Path) -> bool:
+    """Whether a capture's folder has one for photos, or photos itself."""
+    return any(os.path.isdir(place) for place in photo_folders(folder) if place != folder) or bool(
+        pictures_in(folder)
+    )
+
+
 def pictures_in(folder: Path) -> list[str]:
     """Names of the files in a folder that are photos by their suffix; none where it cannot be read."""
     try:

@@ -161,11 +161,16 @@ def find_model(path: Path) -> tuple[Path, Path]:
 
 def models_in(folder: Path) -> list[Path]:
     """Folders of models, as COLMAP numbers them."""
+    return [model for model in numbered(folder) if images_file(model)]
+
+
+def numbered(folder: Path) -> list[Path]:
+    """Files and folders in a folder whose names are numbers, in their order; none where it cannot be read."""
     try:
         names = [name for name in os.listdir(folder) if name.isdecimal()]
     except OSError:
         return []
-    return [folder / name for name in sorted(names, key=int) if images_file(folder / name)]
+    return [folder / name for name in sorted(names, key=int)]
 
 
 def images_file(model: Path) -> Path | None:

@@ -32,6 +32,10 @@ POSES_JSON = "transforms.json"
 
 LIBERTY = "vork/StatueOfLiberty-Photogrammetry"
 
+SCENE2MESH = "akristoffersen/Scene2Mesh"
+
+INSTANT_NGP = "Uddhav786/Enhancing-3D-Scene-Reconstruction-with-NeRF-and-NVIDIA-s-Instant-NGP"
+
 
 @dataclass(frozen=True)
 class PublicCapture:
@@ -98,6 +102,13 @@ PUBLIC = {
     "games": PublicCapture("judge", "RugvedMavidipalli/hardtopointout", "data/myimages", 3, poses=POSES_JSON),
     "milk": PublicCapture("judge", "zhouyou9505/milk", "images", 3, poses=POSES_BOUNDS),
     "stitch": PublicCapture("choose", "lambkin108/TensoRF_mydata", "data/mydata/train", 2, poses=TRANSFORMS),
+    "desk": PublicCapture("judge", "xu-zhy/VR-project", "data/images", 4, poses="data/sparse/0"),
+    "beer": PublicCapture("judge", "YhuoyuH/NeRF-Database", "images", 3, poses="sparse/0"),
+    "mug": PublicCapture("judge", "kwrous/final_tensorf", "images", 2, poses="sparse/0"),
+    "coke": PublicCapture("judge", SCENE2MESH, "real_scene_data/coke/train", 2, poses=TRANSFORMS),
+    "gum": PublicCapture("judge", SCENE2MESH, "real_scene_data/gum/train", 3, poses=TRANSFORMS, every=5),
+    "field": PublicCapture("judge", INSTANT_NGP, "images", 3, poses=POSES_JSON),
+    "room": PublicCapture("judge", "mamechun/gs_data", "dense/0/images", 3, poses="dense/0/sparse"),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
@@ -109,7 +120,9 @@ figurine on paper; a palm in a hall, seen from 20 places side by side (Mildenhal
 many people's photos, in any weather, and a small sculpture, both cut out by masks (Boss et al. 2021); a toy
 cat whose photos are transparent around it; a room of an office, by a phone, whose poses are wrong; a terrace
 before a desert, walked along with a camera; fruit on a sheet, by a phone; a carton of tea on a table in an
-office; games on a carpet; a carton of milk, cut out before white; a figure on a table in a flat."""
+office; games on a carpet; a carton of milk, cut out before white; a figure on a table in a flat; a desk with
+a lit keyboard; a can of beer on tiles; a mug on a table; a can on a sheet; a pot of gum before screens;
+tractors on a field; a room from its inside."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import struct
 from dataclasses import replace
 
@@ -12,6 +13,8 @@ import pytest
 from splatview.scene import InputError, Lens, look_at
 from splatview.scene.captures import load_capture
 from splatview.scene.progress import Cancelled, Progress
+
+from .conftest import ring
 
 
 @pytest.mark.parametrize("text", [False, True])
@@ -55,6 +58,22 @@ def test_by_the_folder_of_the_model_and_with_photos_beside_it(tmp_path, colmap_c
     assert len(load_capture(tmp_path / "sparse" / "0").photos) == 9
     (tmp_path / "images").rename(tmp_path / "input")
     assert len(load_capture(tmp_path).photos) == 9
+
+
+def test_a_workspace_without_its_photos_has_those_out_of_their_lens(tmp_path, colmap_capture):
+    """As COLMAP's automatic reconstruction leaves it; of two, that with more photos."""
+    colmap_capture(tmp_path, photos=False)
+    for number, count in enumerate((4, 9, 5)):
+        colmap_capture(tmp_path / "dense" / str(number), cameras=ring(count))
+    (tmp_path / "dense" / "notes").mkdir()
+    capture = load_capture(tmp_path)
+    assert len(capture.photos) == 9 and capture.name == tmp_path.name
+    shutil.rmtree(tmp_path / "sparse")
+    assert len(load_capture(tmp_path).photos) == 9
+    # With photos of its own it is a capture itself.
+    shutil.rmtree(tmp_path / "dense" / "1")
+    colmap_capture(tmp_path, cameras=ring(7))
+    assert len(load_capture(tmp_path).photos) == 7
 
 
 def test_missing_photos_are_named_and_left_out(tmp_path, colmap_capture):
