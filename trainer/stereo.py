@@ -313,27 +313,25 @@ def _swept_band(
     """The same by planes at these inverse depths, (D,), rising evenly, and `most` so many neighbours, in
     `spans` of windows, as of `stereo_kernels.spans_of`."""
     photo = photos[at]
-    shape = photo.textured.shape
-    found, confidence = np.zeros(shape, np.float32), np.full(shape, -1, np.float32)
+    height, width = photo.textured.shape
+    room = height * width + kernels.LANES
+    found, confidence = np.zeros(room, np.float32), np.full(room, -1, np.float32)
     middle = photo.camera.eye + photo.camera.forward * (2 / (inverse_depths[0] + inverse_depths[-1]))
     sources = _neighbours(at, photos, middle, most)
-    if not sources:
-        return found, confidence
-    pieces = np.stack([photos[j].pieces for j in sources])
-    rotations, offsets = _through(photo.camera, [photos[j].camera for j in sources])
-    height, width = shape
-    scores = np.empty(len(inverse_depths) * height * width + kernels.LANES, np.float32)
-    warped, second = (np.empty(height * width + kernels.LANES, np.float32) for _ in range(2))
-    columns, shown = np.empty((3, width + kernels.LANES), np.float32), np.empty((height, 2), np.int32)
-    for number, inverse_depth in enumerate(inverse_depths):
-        kernels.plane_scores(
-            *(photo.grey, photo.sums, photo.deviation, width, spans, pieces, rotations, offsets),
-            *(float(inverse_depth), warped, second, columns, shown, scores[number * height * width :]),
-        )
-    scores = scores[: -kernels.LANES].reshape(-1, height, width)
-    work = np.empty(shape[1], np.int32), *(np.empty(shape[1], np.float32) for _ in range(2))
-    kernels.best_planes(scores, inverse_depths, spans, *work, found, confidence)
-    return found, confidence
+    if sources:
+        pieces = np.stack([photos[j].pieces for j in sources])
+        rotations, offsets = _through(photo.camera, [photos[j].camera for j in sources])
+        scores = np.empty(len(inverse_depths) * height * width + kernels.LANES, np.float32)
+        warped, second = (np.empty(room, np.float32) for _ in range(2))
+        columns, shown = np.empty((3, width + kernels.LANES), np.float32), np.empty((height, 2), np.int32)
+        for number, inverse_depth in enumerate(inverse_depths):
+            kernels.plane_scores(
+                *(photo.grey, photo.sums, photo.deviation, width, spans, pieces, rotations, offsets),
+                *(float(inverse_depth), warped, second, columns, shown, scores[number * height * width :]),
+            )
+        kernels.best_planes(scores, inverse_depths.astype(np.float32), width, spans, found, confidence)
+    pictures = (flat[: -kernels.LANES].reshape(height, width) for flat in (found, confidence))
+    return next(pictures), next(pictures)
 
 
 def _seen(camera: Camera, points: np.ndarray, outermost: float) -> np.ndarray:

@@ -255,41 +255,43 @@ def plane_scores(
 
 
 @kernel
-def best_planes(scores, inverse_depths, spans, best, top, rival, out, confidence):
+def best_planes(scores, inverse_depths, width, spans, out, confidence):
     """The inverse depth of the best of the planes, between them by a parabola, and its score; -1 where it is
     the first or the last, or not clearly the best. Only in `spans`, as of `plane_scores`.
 
-    scores: (D, H, W) float32. inverse_depths: (D,) float64, rising evenly. best (W,) int32, top, rival (W,)
-    float32: to work in. out, confidence: (H, W) float32.
+    scores: (D·H·width + LANES,) float32, of planes one after the other. inverse_depths: (D,) float32, rising
+    evenly. out, confidence: as `plane_scores` has pictures.
     """
-    planes, height, _ = scores.shape
-    step = inverse_depths[1] - inverse_depths[0]
+    planes, height = len(inverse_depths), spans.shape[1]
+    step, size = inverse_depths[1] - inverse_depths[0], height * width
+    lanes = lane_numbers(spread(np.float32(0)))
+    none, zero = fill(lanes, -1), fill(lanes, 0)
     for y in range(height):
-        first, end = spans[0, y, 0], spans[0, y, 1]
-        for x in range(first, end):
-            best[x], top[x], rival[x] = 0, scores[0, y, x], np.float32(-1)
-        for d in range(1, planes):  # rows of a plane at a time: pixels of all planes are far apart in memory
-            for x in range(first, end):
-                is_better = scores[d, y, x] > top[x]
-                best[x] = np.int32(d) if is_better else best[x]
-                top[x] = scores[d, y, x] if is_better else top[x]
-        for d in range(planes):
-            for x in range(first, end):
-                is_away = abs(np.int32(np.int32(d) - best[x])) > np.int32(AWAY)
-                score = scores[d, y, x] if is_away else np.float32(-1)
-                rival[x] = score if score > rival[x] else rival[x]
-        for x in range(first, end):
-            at, score = best[x], top[x]
-            place = 0.0
-            if 0 < at < planes - 1:
-                low, high = scores[at - 1, y, x], scores[at + 1, y, x]
-                bend = low - 2 * score + high
-                if bend < 0 and low > -1 and high > -1:
-                    place = 0.5 * (low - high) / bend
-                    place = min(max(place, -0.5), 0.5)
-            out[y, x] = np.float32(inverse_depths[at] + place * step)
-            clear = 0 < at < planes - 1 and score - rival[x] > CLEAR
-            confidence[y, x] = score if clear else np.float32(-1)
+        for x in range(spans[0, y, 0], spans[0, y, 1], LANES):
+            at = y * width + x
+            best, top, low, high = zero, load(scores, at), none, none
+            before, here = top, load(scores, at + size)
+            for d in range(1, planes - 1):
+                after = load(scores, at + (d + 1) * size)
+                low, high = choose_above(here, top, before, low), choose_above(here, top, after, high)
+                best = choose_above(here, top, fill(lanes, d), best)
+                top, before, here = max(here, top), here, after
+            is_last = choose_above(here, top, zero, fill(lanes, 1))
+            top, rival = max(here, top), none
+            best = choose_above(fill(lanes, 1), is_last, fill(lanes, planes - 1), best)
+            for d in range(planes):
+                score = load(scores, at + d * size)
+                rival = max(choose_above(abs(best - fill(lanes, d)), fill(lanes, AWAY), score, none), rival)
+            bend = low - top * 2 + high
+            place = min(max(divide((low - high) * 0.5, bend), fill(lanes, -0.5)), fill(lanes, 0.5))
+            for is_known in (bend * -1, low + 1, high + 1, is_last):
+                place = choose_above(is_known, zero, place, zero)
+            found = inverse_depths[0] + (best + place) * step
+            sure = choose_above(top - rival, fill(lanes, CLEAR), top, none)
+            sure = choose_above(min(best, is_last), zero, sure, none)
+            within = fill(lanes, spans[0, y, 1] - x)
+            store(out, at, choose_above(within, lanes, found, load(out, at)))
+            store(confidence, at, choose_above(within, lanes, sure, load(confidence, at)))
 
 
 @kernel
