@@ -63,7 +63,9 @@ background: many photos of it leave few holes, and a colour that differs from st
 Three minutes, what is gained over black after fits of exposure. Chosen: `miku 40 far` (22 photos show a
 place) -0.71, -0.17, -0.14 dB, and 2.1 % holes without. Judged: `fox` (28) -0.03, 0.7 %; `miku 20 near` (12)
 +0.31, +0.48, 0.1 %, `miku 20 far` (10) +0.34, -0.54 (+0.74, -0.07 as they are), 3.4 %; `demo lens` (4) +0.21,
-none."""
+none. Of an object that all photos show, before a room that few do, the room counts little. With the mean
+colour a minute of `stitch` has 25.15 dB in place of 24.58, but `gum` 25.25 of 25.37, `games` 26.31 of 26.60.
+"""
 
 SPREAD = 0.3
 """Of 1, by which a channel differs from the mean in a step at most. Three splits after a minute,

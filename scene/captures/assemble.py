@@ -31,6 +31,7 @@ from splatview.scene.captures.capture import (
 from splatview.scene.captures.photo_files import photo_folders
 from splatview.scene.captures.photos import downscaled_size, read_pixels
 from splatview.scene.captures.points import MIN_POINTS, first_points, random_points
+from splatview.scene.captures.transparency import OPAQUE, outline_of, unknown_for, without_unknown
 from splatview.scene.errors import InputError
 from splatview.scene.formats import load_cameras
 from splatview.scene.progress import Progress
@@ -71,8 +72,8 @@ def capture_of(
         raise InputError(f"{posed.source}: all photos are held out; nothing is left to train on")
 
     cut_out = masks == "cut-out"
-    photos, hidden, opaque, transparent, kept = [], [], [], 0, 0
-    pixel_count = hidden_pixels = 0
+    photos, hidden, opaque, faint, outlines, kept = [], [], [], [], {}, 0
+    pixel_count = hidden_pixels = unknown = 0
     read = (downscale, background, lens, masks)
     for entry, is_held_out, pixels in zip(entries, held_out, _read_all(entries, read, progress), strict=True):
         if pixels.mask is not None and not pixels.mask.any():
@@ -81,7 +82,11 @@ def capture_of(
         if cut_out and entry.mask is None and pixels.alpha is None:
             opaque.append(entry.name)
             continue
-        transparent += pixels.alpha is not None
+        if pixels.alpha is not None:
+            outlines[entry.name] = outline_of(pixels.alpha)
+            unknown += int((pixels.alpha < OPAQUE).sum())
+            if not (pixels.alpha >= OPAQUE).any():
+                faint.append(entry.name)
         pixel_count += pixels.image[..., 0].size
         hidden_pixels += 0 if pixels.mask is None else int((~pixels.mask).sum())
         arrays = (pixels.image, pixels.mask, pixels.alpha)
@@ -94,6 +99,12 @@ def capture_of(
                 pixels=_in_memory(pixels) if kept <= KEEP_BYTES else _on_demand(entry, read),
             )
         )
+
+    reason = None if cut_out else unknown_for(list(outlines.values()), len(photos))
+    if reason is not None:
+        shown = [photo for photo in photos if photo.name not in faint]
+        photos = [replace(photo, pixels=_without_unknown(photo.pixels)) for photo in shown]
+        hidden_pixels, hidden = hidden_pixels + unknown, hidden + faint
 
     if opaque and not photos:
         raise InputError(
@@ -113,6 +124,10 @@ def capture_of(
     if hidden:
         warnings.append(
             f"{len(hidden)} photos are left out, for their masks hide all of them: {some(hidden)}"
+        )
+    if unknown and reason is not None:
+        warnings.append(
+            f"{len(outlines)} photos are transparent, which does not count as empty, for {reason}"
         )
     if posed.missing:
         total = len(posed.missing) + len(posed.entries)
@@ -145,10 +160,10 @@ def capture_of(
         points=np.ascontiguousarray(points, dtype=np.float64),
         point_colours=np.ascontiguousarray(colours),
         guessed=guessed,
-        background=background if transparent else None,
+        background=background if outlines and reason is None else None,
         statistics=replace(
             statistics,
-            transparent=transparent,
+            transparent=0 if reason else len(outlines),
             masks=sum(entry.mask is not None for entry in entries),
             cut_out=cut_out,
             hidden=hidden_pixels / pixel_count,
@@ -272,6 +287,10 @@ def _read_all(entries: Sequence[PosedPhoto], how: How, progress: Progress) -> It
 
 def _in_memory(pixels: Pixels) -> Callable[[], Pixels]:
     return lambda: pixels
+
+
+def _without_unknown(pixels: Callable[[], Pixels]) -> Callable[[], Pixels]:
+    return lambda: without_unknown(pixels())
 
 
 def _on_demand(entry: PosedPhoto, how: How) -> Callable[[], Pixels]:

@@ -286,8 +286,10 @@ def test_photos_that_no_mask_cuts_out(tmp_path, colmap_capture, png):
     png(tmp_path / "masks/p03.png", white)
     with pytest.raises(InputError, match=r"only one photo \(p03\.png\) is left to learn from"):
         load_capture(tmp_path, masks="cut-out")
-    png(tmp_path / "images/p04.png", np.full((30, 40, 4), 128, np.uint8))  # transparent by itself
-    png(tmp_path / "masks/p05.png", np.where(np.arange(40) < 20, white, 0))
+    half = np.where(np.arange(40) < 20, white, 0)
+    transparent = np.dstack([np.full((30, 40, 3), 128, np.uint8), half])
+    png(tmp_path / "images/p04.png", transparent.astype(np.uint8))
+    png(tmp_path / "masks/p05.png", half)
     capture = load_capture(tmp_path, masks="cut-out")
     assert [photo.name for photo in capture.photos] == ["p03.png", "p04.png", "p05.png"]
     (warning,) = (one for one in capture.warnings if "mask" in one)
