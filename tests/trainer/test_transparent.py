@@ -111,15 +111,16 @@ def test_exposure_leaves_the_background_of_a_cut_out_alone() -> None:
 
 
 def test_photos_keep_their_opacity_and_masks_may_cut_out(capture_folder: Path) -> None:
-    rgba, left = np.empty(0), np.empty(0)
+    made = {}
     for image in sorted((capture_folder / "images").iterdir()):
         pixels = np.asarray(Image.open(image).convert("RGB"))
-        left = np.arange(pixels.shape[1])[None, :].repeat(len(pixels), 0) < 20
+        columns = np.arange(pixels.shape[1])[None, :].repeat(len(pixels), 0)
+        alpha = np.where(columns < 20, 255, 51).astype(np.uint8)
+        made[image.name] = np.concatenate([pixels, alpha[..., None]], axis=-1)
         if image.name not in ("view_4.png", "view_5.png"):
-            alpha = np.where(left, 255, 51).astype(np.uint8)
-            made = np.concatenate([pixels, alpha[..., None]], axis=-1)
-            Image.fromarray(made, "RGBA").save(image)
-            rgba = made if image.name == "view_3.png" else rgba
+            Image.fromarray(made[image.name], "RGBA").save(image)
+    rgba = made["view_3.png"]
+    left = rgba[..., 3] == 255
     (capture_folder / "masks").mkdir()
     Image.fromarray(np.where(left, 255, 0).astype(np.uint8)).save(capture_folder / "masks" / "view_5.png")
 
