@@ -134,7 +134,7 @@ def settings_for(
     # of 1000x658 px, 22.56 and 20.46 (shorter.json).
     if few_steps is not None and timed is not None and levels == HALF_THE_SIZE:
         unmet = None if everywhere else automatic_steps(photos, True, shown)
-        fewer = automatic_shorter(photos, few_steps, timed, threads, unmet)
+        fewer = automatic_shorter(photos, few_steps, timed, threads, unmet, of_a_minute)
     automatic: dict[str, Any] = {
         "batch": batch,
         "opacity_reg": weight,
@@ -269,6 +269,7 @@ def start_points(
         progress = progress.part(0.8, 1.0)
     if len(found[0]) < LEAST_FOUND:
         found, places = stereo_points(views.all, capture.points, threads=threads, progress=progress), None
+    progress.step(1.0)
     found = thinned(*found, most, seed=settings.seed, places=places)
     count = len(found[0])
     if count < LEAST_FOUND:

@@ -540,7 +540,11 @@ def test_how_short_scenes_of_an_object_are() -> None:
     assert automatic_shorter(6, 3_600, minutes=1, threads=2, unmet=1_800) is None
     assert automatic_shorter(6, 3_600, minutes=3, threads=2, unmet=1_800) == 1_800
     assert automatic_shorter(23, 13_800, minutes=3, threads=2, unmet=13_800) == 2_769
-    assert automatic_shorter(24, 14_400, minutes=3, threads=2, unmet=14_400) is None  # 120 for each at least
+    assert automatic_shorter(34, 20_400, minutes=3, threads=2, unmet=20_400) == 2_769
+    assert automatic_shorter(35, 21_000, minutes=3, threads=2, unmet=21_000) is None  # 80 for each at least
+    large = {"unmet": 20_400, "of_a_minute": 2_600}  # of photos of more pixels a minute has fewer steps
+    assert automatic_shorter(28, 16_800, minutes=3, threads=2, **large) == 2_400
+    assert automatic_shorter(31, 18_600, minutes=3, threads=2, **large) is None
     assert automatic_shorter(5, 3_000, minutes=10, threads=2, unmet=3_000) is None  # these are as few
 
 
