@@ -331,8 +331,8 @@ LEAST_UNMET, LEAST_OF_OBJECTS = 2_000, 80
 """Of the steps of photos of an object, and for each of them, that there should be time for: none had fewer
 that were tried. 28 photos of `milk`, which was turned in the light of a window, lose by one scene from one
 minute to three, 24.28 and 23.98 dB (three splits), and do not by scenes of 88 steps per photo, 24.27: chosen
-on it. Of objects that had judged LEAST_CUT none has so many photos; `guitar front 36` (24), which meets its own,
-takes its time as before (objects.json)."""
+on it. Of objects that had judged LEAST_CUT none has so many photos; `guitar front 36` (24), which meets its
+own, takes its time as before (objects.json)."""
 
 LEAST_SCENES = 3.25
 """Scenes that there must be time for where several are trained: two and one that learns from them, and some
