@@ -19,7 +19,12 @@ from splatview.scene.captures.colmap import (
 )
 from splatview.scene.captures.llff import POSES_BOUNDS, read_poses_bounds
 from splatview.scene.captures.nerfstudio import find_transforms, read_transforms
-from splatview.scene.captures.photo_files import fitted_to_copies, may_hold_photos, unposed
+from splatview.scene.captures.photo_files import (
+    fitted_to_copies,
+    may_hold_photos,
+    unposed,
+    without_duplicates,
+)
 from splatview.scene.errors import InputError
 from splatview.scene.progress import NO_PROGRESS, Progress
 
@@ -70,7 +75,7 @@ def read_poses(path: Path, progress: Progress) -> tuple[Path, PosedPhotos]:
     """The folder of the capture and what it says, with cameras of the size of the photos' files. Raises
     InputError, Cancelled."""
     folder, posed = _read_poses(path, progress)
-    posed, note = fitted_to_copies(posed, progress), unposed(posed)
+    posed, note = without_duplicates(fitted_to_copies(posed, progress)), unposed(posed)
     return folder, posed if note is None else replace(posed, warnings=[*posed.warnings, note])
 
 

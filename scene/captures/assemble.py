@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import filecmp
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import (
     LEAST_DISPLACEMENT,
     Capture,
@@ -24,6 +22,7 @@ from splatview.scene.captures.capture import (
     PosedPhoto,
     PosedPhotos,
     check_photos,
+    intrinsics_of,
     largest_displacement,
     some,
     tidy_name,
@@ -64,7 +63,6 @@ def capture_of(
 ) -> Capture:
     """Raises InputError, Cancelled."""
     entries, twice = _unique(posed.entries)
-    entries, copies = _without_copies(entries)
     _check_count(posed, [entry.name for entry in entries])
     entries, statistics = _without_lenses_that_do_not_show(entries, downscale)
     held_out = _held_out(entries)
@@ -72,7 +70,8 @@ def capture_of(
         raise InputError(f"{posed.source}: all photos are held out; nothing is left to train on")
 
     cut_out = masks == "cut-out"
-    photos, hidden, opaque, faint, outlines, kept = [], [], [], [], {}, 0
+    photos, hidden, opaque, outlines, kept = [], [], [], {}, 0
+    faint: set[str] = set()
     pixel_count = hidden_pixels = unknown = 0
     read = (downscale, background, lens, masks)
     for entry, is_held_out, pixels in zip(entries, held_out, _read_all(entries, read, progress), strict=True):
@@ -86,7 +85,7 @@ def capture_of(
             outlines[entry.name] = outline_of(pixels.alpha)
             unknown += int((pixels.alpha < OPAQUE).sum())
             if not (pixels.alpha >= OPAQUE).any():
-                faint.append(entry.name)
+                faint.add(entry.name)
         pixel_count += pixels.image[..., 0].size
         hidden_pixels += 0 if pixels.mask is None else int((~pixels.mask).sum())
         arrays = (pixels.image, pixels.mask, pixels.alpha)
@@ -104,7 +103,9 @@ def capture_of(
     if reason is not None:
         shown = [photo for photo in photos if photo.name not in faint]
         photos = [replace(photo, pixels=_without_unknown(photo.pixels)) for photo in shown]
-        hidden_pixels, hidden = hidden_pixels + unknown, hidden + faint
+        hidden_pixels += unknown
+    else:
+        faint = set()
 
     if opaque and not photos:
         raise InputError(
@@ -112,7 +113,7 @@ def capture_of(
             " masks into the folder masks of the capture, named as the photos"
         )
     if all(photo.held_out for photo in photos):
-        left_out = some(sorted(hidden + opaque))
+        left_out = some(sorted([*hidden, *opaque, *faint]))
         raise InputError(f"{posed.source}: masks leave nothing of the photos to train on: {left_out}")
     _check_count(posed, [photo.name for photo in photos])
 
@@ -129,6 +130,8 @@ def capture_of(
         warnings.append(
             f"{len(outlines)} photos are transparent, which does not count as empty, for {reason}"
         )
+    if faint:
+        warnings.append(f"{len(faint)} of these show nothing and are left out: {some(sorted(faint))}")
     if posed.missing:
         total = len(posed.missing) + len(posed.entries)
         warnings.append(
@@ -137,10 +140,6 @@ def capture_of(
         )
     if twice:
         warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {some(twice)}")
-    if copies:
-        warnings.append(
-            f"{len(copies)} photos are copies of others, with their pose, and are left out: {some(copies)}"
-        )
     if lens == "undistort":
         warnings += _lens_notes(entries)
     usable = np.all(np.abs(posed.points) <= LARGEST_RADIUS, axis=1)
@@ -183,13 +182,13 @@ def _without_lenses_that_do_not_show(
 ) -> tuple[list[PosedPhoto], PhotoStatistics]:
     """Those whose lens moves nothing by more than LEAST_DISPLACEMENT become pinholes, here and for good."""
     by_lens = {
-        _intrinsics(entry.camera): largest_displacement(entry.camera) / downscale
+        intrinsics_of(entry.camera): largest_displacement(entry.camera) / downscale
         for entry in entries
         if entry.camera.lens is not None
     }
     kept, left_out = [], 0
     for entry in entries:
-        shows = entry.camera.lens is None or not by_lens[_intrinsics(entry.camera)] <= LEAST_DISPLACEMENT
+        shows = entry.camera.lens is None or not by_lens[intrinsics_of(entry.camera)] <= LEAST_DISPLACEMENT
         kept.append(entry if shows else replace(entry, camera=replace(entry.camera, lens=None)))
         left_out += not shows
     statistics = PhotoStatistics(
@@ -205,35 +204,6 @@ def _unique(entries: Sequence[PosedPhoto]) -> tuple[list[PosedPhoto], list[str]]
     by_name: dict[str, PosedPhoto] = {}
     twice = [entry.name for entry in entries if by_name.setdefault(entry.name, entry) is not entry]
     return [by_name[name] for name in sorted(by_name)], twice
-
-
-def _without_copies(entries: Sequence[PosedPhoto]) -> tuple[list[PosedPhoto], list[str]]:
-    """Without photos whose file and pose are those of another, one that is trained on where there is one, and
-    the names of the copies. Some people's files hold out what they train on; so nothing is held out by them
-    where all of it would go."""
-    kept: dict[bytes, list[PosedPhoto]] = {}
-    copies = []
-    for entry in sorted(entries, key=lambda entry: entry.held_out is True):
-        same_pose = kept.setdefault(entry.camera.world_to_camera.tobytes(), [])
-        if any(
-            _intrinsics(entry.camera) == _intrinsics(other.camera) and _is_same_file(entry.path, other.path)
-            for other in same_pose
-        ):
-            copies.append(entry.name)
-        else:
-            same_pose.append(entry)
-    gone = set(copies)
-    left = [entry for entry in entries if entry.name not in gone]
-    if any(entry.held_out for entry in entries) and not any(entry.held_out for entry in left):
-        left = [replace(entry, held_out=None) for entry in left]
-    return left, sorted(copies)
-
-
-def _is_same_file(one: Path, other: Path) -> bool:
-    try:
-        return filecmp.cmp(one, other, shallow=False)
-    except OSError:  # whoever reads the photos says so
-        return False
 
 
 def _check_count(posed: PosedPhotos, names: Sequence[str]) -> None:
@@ -300,7 +270,9 @@ def _on_demand(entry: PosedPhoto, how: How) -> Callable[[], Pixels]:
 def _lens_notes(entries: Sequence[PosedPhoto]) -> list[str]:
     """A line for each lens of which a good part of the photo lies outside the undistorted picture."""
     notes = []
-    by_lens = {_intrinsics(entry.camera): entry.camera for entry in entries if entry.camera.lens is not None}
+    by_lens = {
+        intrinsics_of(entry.camera): entry.camera for entry in entries if entry.camera.lens is not None
+    }
     for camera in by_lens.values():
         x, y = (np.linspace(0.5, size - 0.5, 25) for size in (camera.width, camera.height))
         grid = np.stack(np.meshgrid(x, y), axis=-1)
@@ -315,10 +287,6 @@ def _lens_notes(entries: Sequence[PosedPhoto]) -> list[str]:
                 "not used"
             )
     return notes
-
-
-def _intrinsics(camera: Camera) -> tuple:
-    return camera.lens, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 
 
 def capture_name(path: Path) -> str:

@@ -46,6 +46,11 @@ class PhotoStatistics:
     """Share of all photos' pixels that do not count: masked, or beyond what the lens has seen."""
 
 
+def intrinsics_of(camera: Camera) -> tuple:
+    """All of a camera but its pose and name; the same for cameras that see alike."""
+    return camera.lens, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+
+
 def largest_displacement(camera: Camera) -> float:
     """The largest distance, px, of any point in the picture from where a pinhole has it; inf where a lens
     does not show all that the pinhole does."""

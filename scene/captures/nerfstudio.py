@@ -43,6 +43,7 @@ FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
 """Names of lenses in ``camera_model``; the coefficients decide what is left of them."""
 
 PANORAMAS = ("EQUIRECTANGULAR", "SPHERICAL")
+"""Names of cameras that see all around."""
 
 MATRICES = ("K", "intrinsics", "intrinsic_matrix")
 """Keys by which some programs write intrinsics, px, as a matrix."""

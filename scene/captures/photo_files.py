@@ -1,4 +1,4 @@
-"""Files of photos: folders that hold them, copies in another size, and photos that have no pose.
+"""Files of photos: folders that hold them, copies in another size, duplicates, and photos without a pose.
 
 Poses are often found on photos in full size, and smaller copies kept beside them, in ``images_2``,
 ``images_4`` and ``images_8`` (LLFF, Mip-NeRF 360, nerfstudio), or in their place.
@@ -6,12 +6,20 @@ Poses are often found on photos in full size, and smaller copies kept beside the
 
 from __future__ import annotations
 
+import filecmp
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from splatview.scene.captures.capture import AT_ONCE, SUFFIXES, PosedPhoto, PosedPhotos, some
+from splatview.scene.captures.capture import (
+    AT_ONCE,
+    SUFFIXES,
+    PosedPhoto,
+    PosedPhotos,
+    intrinsics_of,
+    some,
+)
 from splatview.scene.captures.photos import are_copies, image_size
 from splatview.scene.errors import InputError
 from splatview.scene.progress import Progress
@@ -69,6 +77,46 @@ def unposed(posed: PosedPhotos) -> str | None:
     if not without:
         return None
     return f"{len(without)} of {total} photos have no pose and are not used: {some(without)}"
+
+
+def without_duplicates(posed: PosedPhotos) -> PosedPhotos:
+    """The capture without photos whose file and pose are those of another, of which one that is trained on
+    stays where there is one. Some files hold out what they train on: where all that is held out would go,
+    nothing is by them."""
+    by_pose: dict[tuple, list[PosedPhoto]] = {}
+    for entry in sorted(posed.entries, key=lambda entry: entry.held_out is True):
+        pose = entry.camera.world_to_camera.tobytes(), intrinsics_of(entry.camera)
+        by_pose.setdefault(pose, []).append(entry)
+    duplicates: set[str] = set()
+    for alike in by_pose.values():
+        if len(alike) > 1:  # files are looked at only then
+            duplicates |= _duplicates(alike)
+    if not duplicates:
+        return posed
+    left = [entry for entry in posed.entries if entry.name not in duplicates]
+    if any(entry.held_out for entry in posed.entries) and not any(entry.held_out for entry in left):
+        left = [replace(entry, held_out=None) for entry in left]
+    names = some(sorted(duplicates))
+    warning = f"{len(duplicates)} photos are duplicates of others, with their pose, and are left out: {names}"
+    return replace(posed, entries=left, warnings=[*posed.warnings, warning])
+
+
+def _duplicates(entries: Sequence[PosedPhoto]) -> set[str]:
+    """Names of the photos whose file is that of one before, of another name."""
+    kept: dict[int, list[PosedPhoto]] = {}
+    duplicates = set()
+    for entry in entries:
+        try:
+            # A camera that stands still has many frames, and hardly two of them are of one size.
+            of_size = kept.setdefault(entry.path.stat().st_size, [])
+            others = (other.path for other in of_size if other.name != entry.name)
+            if any(filecmp.cmp(entry.path, other, shallow=False) for other in others):
+                duplicates.add(entry.name)
+            else:
+                of_size.append(entry)
+        except OSError:  # whoever reads the photos says so
+            continue
+    return duplicates
 
 
 def fitted_to_copies(posed: PosedPhotos, progress: Progress) -> PosedPhotos:

@@ -308,13 +308,13 @@ def asks_about_captures(app: AppState, hand: Hand, options: dict[str, Any], foun
     hand.press("Escape")
 
 
-def trains_on_copies(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
-    """A capture of which only smaller copies of the photos are there, dropped, looked at, and trained on."""
+def trains_on_dropped(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """A capture as somebody's folder has it, dropped, looked at, and trained on."""
     hand.settle()
     state = app.feature(TrainingStart)
     hand.drop(options["capture"])
     hand.frames(4)
-    shoot(hand, "copies_dropped")
+    shoot(hand, f"{options['shots']}_dropped")
     hand.ctx.item_click("//Photos with cameras/Train on the photos")
     hand.wait(lambda: state.found is not None, "the photos to be found")
     hand.wait(lambda: not app.feature(TrainForm).thumbnails.busy, "the photos' pictures")
@@ -322,14 +322,14 @@ def trains_on_copies(app: AppState, hand: Hand, options: dict[str, Any], found: 
     found["photos"], found["size"] = len(state.found.photos), state.found.size
     state.form.length, state.form.output = "1 minute", Path(options["output"])
     hand.frames(3)
-    shoot(hand, "copies_form")
+    shoot(hand, f"{options['shots']}_form")
     hand.ctx.item_click("//Train on photos/Start training")
     hand.wait(lambda: app.find(LiveTraining) is not None, f"the training {state.problem}")
     training = app.feature(LiveTraining)
     hand.wait(lambda: training.status.iteration >= 5, "some steps")
     found["messages"] = [message.text for message in app.messages]
     found["trained"] = [training.photos[0].shot.camera.width, training.photos[0].shot.camera.height]
-    shoot(hand, "copies_trained")
+    shoot(hand, f"{options['shots']}_trained")
 
 
 def settings(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:

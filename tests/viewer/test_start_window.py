@@ -107,13 +107,38 @@ def test_a_capture_of_smaller_copies(drive, scene_file, capture, tmp_path):
     for photo in (folder / "images_2").iterdir():
         with Image.open(photo) as image:
             image.reduce(2).save(photo)
-    output = tmp_path / "trained.ply"
-    found = drive(
-        "trains_on_copies", scene_file, script="start_drives.py", capture=str(folder), output=str(output)
-    )
+    output, shots = tmp_path / "trained.ply", "copies"
+    options = {"capture": str(folder), "output": str(output), "shots": shots}
+    found = drive("trains_on_dropped", scene_file, script="start_drives.py", **options)
     assert found["photos"] == 10 and found["size"] == [48, 36] == found["trained"]
     assert any("10 photos are copies in another size" in text for text in found["messages"])
     assert len(load_scene(output)), "saved when the window closed"
+
+
+def test_a_capture_that_holds_out_what_it_trains_on(drive, scene_file, capture, tmp_path):
+    """Duplicates of its photos, which have the rim of what a lens has seen."""
+    folder = shutil.copytree(capture, tmp_path / capture.name)
+    for photo in (folder / "images").iterdir():
+        with Image.open(photo) as image:
+            rim = Image.new("L", image.size)
+            rim.paste(255, (6, 6, image.width - 6, image.height - 6))
+            image.putalpha(rim)
+            image.save(photo)
+    shutil.copytree(folder / "images", folder / "test")
+    content = json.loads((folder / "transforms.json").read_text())
+    (folder / "transforms.json").unlink()
+    named = {key: value for key, value in content.items() if not key.endswith("_filenames")}
+    (folder / "transforms_train.json").write_text(json.dumps(named))
+    for frame in named["frames"]:
+        frame["file_path"] = frame["file_path"].replace("images/", "test/")
+    (folder / "transforms_test.json").write_text(json.dumps(named))
+    options = {"capture": str(folder), "output": str(tmp_path / "trained.ply"), "shots": "rim"}
+    found = drive("trains_on_dropped", scene_file, script="start_drives.py", **options)
+    messages = "\n".join(found["messages"])
+    assert "10 photos are duplicates of others, with their pose, and are left out: test/" in messages
+    assert "10 photos are transparent, which does not count as empty" in messages
+    assert found["photos"] == 10 and found["trained"] == [96, 72]
+    assert len(load_scene(tmp_path / "trained.ply"))
 
 
 def test_settings(drive, scene_file, tmp_path):

@@ -67,9 +67,10 @@ def test_photos_that_are_held_out_and_trained_on_are_trained_on(
         listed.append({"file_path": "test/later.png", "transform_matrix": to_opengl(cameras_of(9)[0])})
     transforms(tmp_path / "transforms_test.json", listed, **INTRINSICS)
     capture = load_capture(tmp_path)
-    (warning,) = [line for line in capture.warnings if "copies" in line]
+    (warning,) = [line for line in capture.warnings if "duplicates" in line]
     assert (
-        warning.startswith(f"{held_out} photos are copies of others, with their pose") and "test/0" in warning
+        warning.startswith(f"{held_out} photos are duplicates of others, with their pose")
+        and "test/0" in warning
     )
     by_rule = ["images/0.png", "images/8.png"]
     assert [photo.name for photo in capture.held_out] == (["test/later.png"] if held_out == 3 else by_rule)

@@ -68,7 +68,7 @@ def test_a_few_transparent_photos_are_unknown_there(capture_with):
     assert capture.background is None and len(capture.photos) == 8
     lines = "\n".join(capture.warnings)
     assert "2 photos are transparent, which does not count as empty, for most photos show something" in lines
-    assert "1 photos are left out, for their masks hide all of them: p05.png" in lines
+    assert "1 of these show nothing and are left out: p05.png" in lines
     with_mask = [photo.name for photo in capture.photos if photo.mask() is not None]
     assert with_mask == ["p03.png"]
 
