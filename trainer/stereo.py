@@ -332,8 +332,8 @@ def _swept_band(
                 *(float(inverse_depth), warped, second, columns, shown, scores[number * height * width :]),
             )
         kernels.best_planes(scores, inverse_depths.astype(np.float32), width, spans, found, confidence)
-    pictures = (flat[: -kernels.LANES].reshape(height, width) for flat in (found, confidence))
-    return next(pictures), next(pictures)
+    found, confidence = (flat[: -kernels.LANES].reshape(height, width) for flat in (found, confidence))
+    return found, confidence
 
 
 def _seen(camera: Camera, points: np.ndarray, outermost: float) -> np.ndarray:

@@ -228,6 +228,40 @@ def test_scores_are_correlations_of_windows(photos, rng):
     assert compared > 20
 
 
+def test_the_best_of_the_planes(rng):
+    """Beside a loop over pixels, in rows that vectors do not divide; what is outside of spans stays."""
+    depths = np.linspace(0.2, 0.5, 9).astype(np.float32)
+    height, width = 6, 37
+    scores = rng.uniform(-1, 1, (len(depths), height, width)).astype(np.float32)
+    scores[rng.uniform(size=scores.shape) < 0.2] = -1
+    spans = np.zeros((2, height, 2), np.int32)
+    spans[0] = [(0, 37), (3, 4), (5, 21), (0, 0), (20, 37), (7, 36)]
+    flat = np.append(scores.ravel(), np.full(LANES, 5, np.float32))
+    found, confidence = (np.full(height * width + LANES, 9, np.float32) for _ in range(2))
+    kernels.best_planes(flat, depths, width, spans, found, confidence)
+    found, confidence = (out[:-LANES].reshape(height, width) for out in (found, confidence))
+    clear = 0
+    for y, x in np.ndindex(height, width):
+        if not spans[0, y, 0] <= x < spans[0, y, 1]:
+            assert found[y, x] == confidence[y, x] == 9
+            continue
+        column = scores[:, y, x].astype(np.float64)
+        best = int(column.argmax())
+        rivals = column[np.abs(np.arange(len(column)) - best) > kernels.AWAY]
+        inner = 0 < best < len(column) - 1
+        is_clear = inner and column[best] - rivals.max() > kernels.CLEAR
+        assert confidence[y, x] == (scores[best, y, x] if is_clear else -1)
+        place = 0.0
+        if inner and min(column[best - 1], column[best + 1]) > -1:
+            low, high = column[best - 1], column[best + 1]
+            place = np.clip(0.5 * (low - high) / (low - 2 * column[best] + high), -0.5, 0.5)
+        # A parabola of scores in float32, whose differences may be small.
+        expected = np.interp(best, range(len(depths)), depths) + place * (depths[1] - depths[0])
+        assert found[y, x] == pytest.approx(expected, abs=1e-5)
+        clear += is_clear
+    assert clear > 20
+
+
 def test_spans_hold_all_windows_with_texture(rng):
     """Beside every window one by one; two pieces, so that a gap is within a span, and rows with nothing."""
     textured = np.zeros((40, 50), bool)
