@@ -361,8 +361,8 @@ def make_parser() -> Parser:
     group.add_argument(
         "--passing",
         choices=("auto", "stay"),
-        help="what becomes, as the run ends, of splats that one photo alone shows in front of what others do,"
-        " as somebody passing by (default: auto: they go)",
+        help="what becomes of what one photo alone shows in front of what others do, as somebody passing by"
+        " (default: auto: that part of the photo is masked, and its splats go as the run ends)",
     )
     group.add_argument(
         "--ensemble",

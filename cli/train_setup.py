@@ -39,6 +39,7 @@ from splatview.trainer.effects import (
     with_outliers,
     with_shading,
     with_sky_found,
+    with_transients,
 )
 from splatview.trainer.free_space import MOST_OF_ONE
 from splatview.trainer.memory import (
@@ -60,6 +61,7 @@ from splatview.trainer.run import Outputs
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies import STRATEGIES
 from splatview.trainer.torch_import import TorchImport
+from splatview.trainer.transients import LARGEST_SHARE
 from splatview.trainer.views import TrainView, TrainViews, train_views
 
 if TYPE_CHECKING:  # torch is imported while photos are read, see `_prepare`
@@ -234,9 +236,10 @@ def _prepare(
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     known = checkpoint.settings if checkpoint else None
-    # Where photos are empty, and which of their pixels are withheld, are one more number each for all pixels.
-    more = (known is None or known.backdrop == "auto") and find_backdrop(views.all) is not None
+    # Where photos are empty, what is withheld, and what is masked are more numbers for their pixels.
+    more = float((known is None or known.backdrop == "auto") and find_backdrop(views.all) is not None)
     more += known is not None and known.withheld > 0
+    more += LARGEST_SHARE * (options.passing != "stay" if known is None else known.transients == "auto")
     if more:
         sizes = sizes_of_capture(capture)
         memory = room_for(replace(sizes, planes=sizes.planes + more), points=own_points(capture)["points"])
@@ -286,6 +289,8 @@ def _prepare(
         effects = with_exposure(effects, trainer.exposures)
     if trainer.outliers.is_decided:
         effects = with_outliers(effects, trainer.outliers)
+    if trainer.transients.is_decided:
+        effects = with_transients(effects, trainer.transients)
     if asked is not None:
         notes["memory"] = asked
     return Run(
@@ -420,6 +425,7 @@ def _new_trainer(
         exposure=options.exposure or "auto",
         outliers=options.outliers or "auto",
         most_of_one=1.0 if options.passing == "stay" else MOST_OF_ONE,
+        transients="off" if options.passing == "stay" else "auto",
         sky=options.sky or "auto",
         **({} if options.shading in (None, "auto") else {"shading": options.shading}),
         **({"ensemble": 1} if options.ensemble == "off" else {}),

@@ -59,6 +59,7 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("exposure", off={"exposure": "off"}, on={"exposure": "on"}),
     *_rungs("shading", off={"shading": "off"}, on={"shading": "on"}),
     *_rungs("outliers", stay={"outliers": "off"}),
+    *_rungs("transients", stay={"transients": "off"}),
     *_rungs("opacity of photos", "transparent photos", not_taught={"alpha_weight": 0.0}),
     *_rungs(
         "backdrop",

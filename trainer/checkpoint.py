@@ -88,6 +88,7 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
     arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
     arrays |= {f"shading.{name}": array for name, array in trainer.shadings.state().items()}
     evidence = trainer.resolution.state() | trainer.outliers.state() | trainer.withheld.state()
+    evidence |= trainer.transients.state()
     evidence["nearest_depths"] = trainer.nearest_depths
     means = optimizer.param_groups[0]
     evidence["usual"] = np.array([*means["middle"], means["distance"]])
@@ -174,8 +175,9 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
         trainer.leave_out(trainer.outliers.left_out)
     if "withheld" in checkpoint.evidence:
         trainer.withheld.restore(checkpoint.evidence)
-        if trainer.withheld.given_back:
-            trainer.views.withhold(None)
+    if "transients" in checkpoint.evidence:
+        trainer.transients.restore(checkpoint.evidence)
+    trainer.mask()
     trainer.nearest_depths = checkpoint.evidence.get("nearest_depths", np.zeros(len(ours)))
     if trainer.nearest_depths.shape != (len(ours),):
         raise InputError("the checkpoint's depths are not as many as its photos; it is damaged")

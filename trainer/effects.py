@@ -33,6 +33,7 @@ from splatview.trainer.settings import TrainSettings
 from splatview.trainer.shading import Shadings
 from splatview.trainer.sky import Sky
 from splatview.trainer.strategies.mcmc import LEAST_REG
+from splatview.trainer.transients import Transients
 from splatview.trainer.withheld import CHECK_ROUNDS, GIVEN_BACK, Withheld
 
 SCALE_RATIO = 3.0
@@ -51,6 +52,8 @@ SHADING = "shading of each photo"
 MAPS = "a coarse map of gains for each photo, fitted and applied in each step"
 
 OUTLIERS = "photos left out"
+
+TRANSIENTS = "transients"
 
 PASSING = "splats of one photo"
 
@@ -121,6 +124,7 @@ def capture_effects(
         _exposure(settings),
         _shading(settings),
         _outliers(len(capture.train), settings),
+        _transients(len(capture.train), settings),
         _passing(settings),
         _frozen(len(capture.train), settings),
         _far(capture, settings),
@@ -183,6 +187,14 @@ def with_outliers(effects: tuple[Effect, ...], outliers: Outliers) -> tuple[Effe
     on = bool(outliers.left_out.any())
     why = outliers.evidence or (f"{outliers.left_out.sum()} photos, as the run began" if on else UNTOLD)
     return tuple(replace(effect, on=on, why=why) if effect.name == OUTLIERS else effect for effect in effects)
+
+
+def with_transients(effects: tuple[Effect, ...], transients: Transients) -> tuple[Effect, ...]:
+    """The same once it is decided which parts of photos are masked."""
+    on, why = transients.masked > 0, transients.evidence or UNTOLD
+    return tuple(
+        replace(effect, on=on, why=why) if effect.name == TRANSIENTS else effect for effect in effects
+    )
 
 
 def with_passing(effects: tuple[Effect, ...], count: int | None) -> tuple[Effect, ...]:
@@ -316,6 +328,16 @@ def _outliers(photos: int, settings: TrainSettings) -> Effect:
     return Effect(
         name=OUTLIERS, on=False, why=why, saving=Saving(what="a small picture of each photo's view, once")
     )
+
+
+def _transients(photos: int, settings: TrainSettings) -> Effect:
+    why = f"decided within {OUTLIERS_DECIDED_BY:.0%} of the run, by whether photos show the same everywhere"
+    if settings.transients == "off":
+        why = "they are trained on, as asked for"
+    elif photos < FEWEST_PHOTOS:
+        why = f"of {photos} photos nobody could say which are wrong; {FEWEST_PHOTOS} are needed"
+    saving = Saving(what="five small pictures of each photo's view, once")
+    return Effect(name=TRANSIENTS, on=False, why=why, saving=saving)
 
 
 def _sh_bands(settings: TrainSettings) -> Effect:

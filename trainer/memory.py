@@ -89,7 +89,7 @@ class PhotoSizes:
     """Of the largest photo."""
     stored: int
     """Of the largest photo as its file has it."""
-    planes: int = 3
+    planes: float = 3
     """Bytes of a pixel: colours, opacity, mask."""
 
 

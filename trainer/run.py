@@ -37,12 +37,14 @@ from splatview.trainer.effects import (
     OUTLIERS,
     PASSING,
     SCENES,
+    TRANSIENTS,
     with_easing,
     with_exposure,
     with_frozen,
     with_outliers,
     with_passing,
     with_scenes,
+    with_transients,
     with_withheld,
 )
 from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
@@ -302,7 +304,7 @@ class TrainingRun:
         """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
         exposures, outliers = self.trainer.exposures, self.trainer.outliers
         undecided, unsure = not exposures.is_decided, not outliers.is_decided
-        watching = not self.trainer.withheld.given_back
+        watching, masked = not self.trainer.withheld.given_back, self.trainer.transients.is_decided
         scenes = len(self.trainer.members)
         loss = self.trainer.loss
         unknown = loss is not None and loss.replaces is None
@@ -322,6 +324,8 @@ class TrainingRun:
                 self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check their poses if they look wrong")
             if outliers.doubt:
                 self.on_note(f"photos agree little: {outliers.doubt}")
+        if not masked and self.trainer.transients.is_decided:
+            self._tell_transients()
         if watching and self.trainer.withheld.given_back:
             self.effects = with_withheld(self.effects, self.trainer.withheld)
             if self.trainer.withheld.settled_at:
@@ -476,6 +480,12 @@ class TrainingRun:
             f"{SCENES}: scene {count} is done at step {trainer.counters.iteration:,}; {follows}; until that"
             " is done, the first one is shown and saved"
         )
+
+    def _tell_transients(self) -> None:
+        transients = self.trainer.transients
+        self.effects = with_transients(self.effects, transients)
+        if transients.masked:
+            self.on_note(f"{TRANSIENTS} masked: {transients.evidence}; --passing stay trains on them")
 
     def _tell_edit(self) -> None:
         trainer = self.trainer

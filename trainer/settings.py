@@ -70,6 +70,8 @@ class TrainSettings(StrategySettings):
     """Whether a coarse map of gains is learnt for each photo; auto: where photos differ, see `shading`."""
     outliers: Literal["auto", "off"] = "auto"
     """Whether photos that disagree with the others are left out, see `outliers`."""
+    transients: Literal["auto", "off"] = "auto"
+    """Whether parts of photos that the others contradict are masked, see `transients`."""
     start: Literal["auto", "points", "stereo"] = "auto"
     """Where splats begin: at the capture's points, or also where stereo finds surfaces; auto: by stereo alone
     where the capture has no points, by both where they are few. See `stereo`."""
@@ -167,7 +169,7 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"start must be auto, points or stereo, got {self.start!r}")
         if self.sky not in ("auto", "on", "off"):
             raise ValueError(f"sky must be auto, on or off, got {self.sky!r}")
-        for name in ("backdrop", "outliers"):
+        for name in ("backdrop", "outliers", "transients"):
             if getattr(self, name) not in ("auto", "off"):
                 raise ValueError(f"{name} must be auto or off, got {getattr(self, name)!r}")
         if not self.max_aspect >= 1:
@@ -268,6 +270,7 @@ WITHOUT_WORD = {
     "sky": "off",
     "surround": None,
     "outliers": "off",
+    "transients": "off",
     "free_space": 0.0,
     "least_shown": 0.0,
     "least_visibility": 0.0,

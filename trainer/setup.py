@@ -71,6 +71,7 @@ from splatview.trainer.shading import automatic_shading
 from splatview.trainer.sky import find_sky, with_sky
 from splatview.trainer.stereo import contracted, stereo_points, thinned
 from splatview.trainer.trainer import Trainer
+from splatview.trainer.transients import LARGEST_SHARE
 from splatview.trainer.views import TrainViews, train_views
 
 LEAST_FOUND, MOST_FOUND = 500, 20_000
@@ -163,10 +164,11 @@ def settings_for(
     return replace(settings, max_splats=plan(needed, bound, limit).splats)
 
 
-def more_planes(views: TrainViews, settings: TrainSettings) -> int:
-    """Numbers for each pixel besides those of the photos as they are read: where they are empty, and what is
-    withheld."""
-    return (settings.backdrop == "auto" and find_backdrop(views.all) is not None) + (settings.withheld > 0)
+def more_planes(views: TrainViews, settings: TrainSettings) -> float:
+    """Numbers for each pixel besides those of the photos as they are read: where they are empty, what is
+    withheld, and what is masked of those that others contradict."""
+    empty = settings.backdrop == "auto" and find_backdrop(views.all) is not None
+    return empty + (settings.withheld > 0) + (settings.transients == "auto") * LARGEST_SHARE
 
 
 def memory_of(capture: Capture, settings: TrainSettings, views: TrainViews) -> RunMemory:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -15,11 +12,11 @@ import torch
 from splatview.raster import EARLY_STOP, Parameters, Workspace, available_threads
 from splatview.raster.frame import StageClock
 from splatview.scene import Gaussians, InputError, RenderSettings
-from splatview.scene.edits import Crop, cropped_in, crops_about
 from splatview.trainer.adam import SelectiveAdam
 from splatview.trainer.backdrop import standing_in, surround_of_a_step
 from splatview.trainer.counters import Counters, NothingSeen, StepReport
 from splatview.trainer.distributed import Alone, BatchSum, Group
+from splatview.trainer.editing import Editing
 from splatview.trainer.exposure import Exposures
 from splatview.trainer.free_space import (
     FEW_OF,
@@ -41,24 +38,19 @@ from splatview.trainer.sky import Sky, hold, restore
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
 from splatview.trainer.strategies.mcmc import need_of_reg
-from splatview.trainer.strategies.ops import State, keep, raise_sh_degree
-from splatview.trainer.views import TrainView, TrainViews
+from splatview.trainer.strategies.ops import State, raise_sh_degree
+from splatview.trainer.transients import Transients, agreed, find_transients
+from splatview.trainer.views import TrainView, TrainViews, joined
 from splatview.trainer.withheld import SETTLED, Withheld
-
-KEPT = ("seed", "strategy", "background", "surround", "model", "exposure", "shading", "outliers", "withheld")
-"""Settings that a run keeps from its first step to its last."""
 
 LOSS_SHARE = 0.01
 """Of a step in the running mean of the photo loss."""
-
-CUT_STEPS = 10
-"""Steps after which what has moved to where the recipe cuts is taken out, if not refined sooner."""
 
 CLEAR_STEPS = 4
 """Steps of which one looks for splats before its photo's camera, and for wide ones: in each, 2 % of time."""
 
 
-class Trainer:
+class Trainer(Editing):
     """Trains splats on photos. `step` does all the work; the caller decides when, and in which thread.
 
     `threads` may be changed between steps.
@@ -126,8 +118,9 @@ class Trainer:
         self.passed: int | None = None
         """Splats of one photo alone that went as the run ended, see `free_space`; None: nobody has looked."""
         self.outliers = Outliers([view.camera.name for view in views.all], settings.outliers)
+        self.transients = Transients([view.camera.name for view in views.all], settings.transients)
         self.withheld = Withheld(views.all, settings.withheld, settings.seed)
-        views.withhold(self.withheld.blocks or None)
+        self.mask()
         self.resolution = ProgressiveResolution(views)
         """Size of the photos, where the recipe leaves it to evidence."""
         self.picture_dtype: type[np.floating] = np.float32
@@ -172,65 +165,6 @@ class Trainer:
         """Whether the run is over."""
         return self.scene_progress >= 1
 
-    def change(self, **settings: Any) -> None:
-        """Changes fields of the recipe, between two steps.
-
-        Raises:
-            ValueError: a value makes no sense, or is one that a run keeps; nothing is changed.
-        """
-        for name in KEPT:
-            if settings.get(name, getattr(self.settings, name)) != getattr(self.settings, name):
-                raise ValueError(f"{name} cannot be changed in a run")
-        if not settings.get("max_splats", 0) <= self.most_splats:
-            raise ValueError(f"max_splats must be at most {self.most_splats:,}: there is no memory for more")
-        self.settings = replace(self.settings, **settings)
-        self.strategy.settings = self._local(self.settings)
-
-    def _local(self, settings: TrainSettings) -> TrainSettings:
-        """The settings with their regions relative to the centre."""
-        return replace(settings, no_growth=crops_about(settings.no_growth, self.centre))
-
-    def delete(self, ids: np.ndarray) -> int:
-        """Takes out the splats of these numbers, see `Splats.ids`; those that are gone already do not matter.
-
-        Returns how many were taken out. Density control may fill the place again, and the number of splats
-        up to its plan: see `add_region`. Of several processes each must be told the same.
-
-        Raises:
-            InputError: none would be left; nothing is changed.
-        """
-        return self._keep(~np.isin(self.splats.ids, ids))
-
-    def crop(self, crops: Sequence[Crop]) -> int:
-        """Takes out what the crops in force cut away, and returns how many that were. Raises as `delete`."""
-        return self._cropped(crops)
-
-    def _cropped(self, crops: Sequence[Crop]) -> int:
-        return self._keep(cropped_in(crops_about(crops, self.centre), self.splats.arrays.means))
-
-    def add_cut(self, crops: Sequence[Crop]) -> int:
-        """As `crop`, and from now on what comes to where they cut is soon taken out too.
-
-        The recipe's `cut` holds these rules, and `change` takes one out. They never take the last splats.
-        """
-        gone = self.crop(crops)
-        self.change(cut=(*self.settings.cut, tuple(crops)))
-        return gone
-
-    def add_region(self, region: Crop) -> None:
-        """From now on nothing grows inside the region; what is there is trained on, and may die or move away.
-
-        The recipe's `no_growth` holds the regions, and `change` takes one out.
-        """
-        self.change(no_growth=(*self.settings.no_growth, region))
-
-    def _keep(self, kept: np.ndarray) -> int:
-        if not kept.any():
-            raise InputError("no splat would be left to train; choose fewer")
-        if not kept.all():
-            keep(self.splats, self.optimizer, self.state, kept)
-        return int(len(kept) - kept.sum())
-
     def snapshot(self) -> Gaussians:
         """A copy of the scene as it stands, in the world, which later steps leave alone. Positions about a
         centre are float64."""
@@ -256,6 +190,7 @@ class Trainer:
         raise_sh_degree(splats, optimizer, max(settings.sh_degree_at(progress), splats.sh_degree))
         self._watch_withheld(progress)
         self._decide_outliers(progress)
+        self._decide_transients(progress)
         self._decide_exposures(progress)
 
         optimizer.zero_grad()  # first, for a step that failed may have left some
@@ -471,6 +406,20 @@ class Trainer:
         elif outliers.is_missed(progress):
             outliers.is_decided = True
 
+    def mask(self) -> None:
+        """From now on steps take photos without what is withheld, and without what the others contradict."""
+        withheld = None if self.withheld.given_back else self.withheld.blocks
+        self.views.withhold(joined(withheld, self.transients.blocks(self.views.all)))
+
+    def _decide_transients(self, progress: float) -> None:
+        if not self.transients.is_due(progress, self._rounds):
+            return
+        with self.clock.stage("transients"):
+            scene = self.splats.arrays, self.views.all, ~self.outliers.left_out
+            found = find_transients(*scene, self.render_settings, self.threads)
+        self.transients.decide(agreed(found, self.group))
+        self.mask()
+
     def _watch_withheld(self, progress: float) -> None:
         """Measures what is withheld now and then, and does what it tells. See `withheld`."""
         step, batch = self.counters.iteration, self.settings.batch
@@ -478,7 +427,7 @@ class Trainer:
         if told == "settle":
             self.change(iterations=math.ceil(step / SETTLED))
         if told is not None:
-            self.views.withhold(None)
+            self.mask()
 
     def _withheld_error(self) -> float:
         with self.clock.stage("withheld"):
@@ -589,12 +538,3 @@ class Trainer:
     def scenes_state(self) -> dict[str, np.ndarray]:
         """Arrays by name of scenes before this one, for checkpoints."""
         return {}
-
-    def _cut(self) -> None:
-        """Takes out what has come to where the recipe cuts, now and then."""
-        iteration = self.counters.iteration
-        if iteration % CUT_STEPS == 0 or self.state["refined_at"] == iteration:
-            for crops in self.settings.cut:
-                # A run is not ended by the last splats' moving out: they stay until others are inside.
-                with contextlib.suppress(InputError):
-                    self._cropped(crops)

@@ -181,14 +181,12 @@ class TrainViews:
         """Others in the place of all photos, in the same order of steps."""
         return TrainViews(views, self._seed)
 
-    def withhold(self, blocks: Sequence[np.ndarray] | None) -> None:
-        """Steps take photos without these pixels, (H, W) bool for each, until they are given back: None."""
-        if blocks is None:
-            self._parts = None
-            return
-        pairs = zip(self.all, blocks, strict=True)
-        masks = [~part if view.mask is None else view.mask & ~part for view, part in pairs]
-        self._parts = {1: [replace(view, mask=mask) for view, mask in zip(self.all, masks, strict=True)]}
+    def withhold(self, blocks: Sequence[np.ndarray | None] | None) -> None:
+        """Steps take photos without these pixels, (H, W) bool for each or None, until they are given back:
+        None."""
+        self._parts = None
+        if blocks is not None:
+            self._parts = {1: [_without(view, part) for view, part in zip(self.all, blocks, strict=True)]}
 
     def _trained(self, factor: int) -> list[TrainView]:
         """What steps take of all photos, smaller by a factor."""
@@ -196,10 +194,11 @@ class TrainViews:
             return self.sized(factor)
         if factor not in self._parts:
             whole, parts = self._parts[1], []
-            for view, part in zip(self.sized(factor), whole, strict=True):
+            for view, part, full in zip(self.sized(factor), whole, self.all, strict=True):
                 height, width = view.pixels.shape[:2]
-                mask = part.mask
-                parts.append(view if mask is None else replace(view, mask=wholly_valid(mask, width, height)))
+                if part is not full and part.mask is not None:
+                    view = replace(view, mask=wholly_valid(part.mask, width, height))
+                parts.append(view)
             self._parts = {1: whole, factor: parts}
         return self._parts[factor]
 
@@ -217,3 +216,20 @@ class TrainViews:
             self._order = np.random.default_rng([self._seed, epoch]).permutation(self._taken)
             self._epoch = epoch
         return self._trained(factor)[self._order[place]]
+
+
+def _without(view: TrainView, part: np.ndarray | None) -> TrainView:
+    """The photo without these of its pixels, (H, W) bool; None: none."""
+    if part is None:
+        return view
+    return replace(view, mask=~part if view.mask is None else view.mask & ~part)
+
+
+def joined(
+    blocks: Sequence[np.ndarray | None] | None, others: Sequence[np.ndarray | None] | None
+) -> Sequence[np.ndarray | None] | None:
+    """Pixels of either, see `TrainViews.withhold`."""
+    if blocks is None or others is None:
+        return others if blocks is None else blocks
+    pairs = zip(blocks, others, strict=True)
+    return [other if one is None else one if other is None else one | other for one, other in pairs]

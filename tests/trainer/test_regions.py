@@ -11,8 +11,9 @@ import pytest
 from splatview.scene import InputError
 from splatview.scene.edits import Crop
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
+from splatview.trainer.editing import CUT_STEPS
 from splatview.trainer.strategies.ops import inside_any
-from splatview.trainer.trainer import CUT_STEPS, Trainer
+from splatview.trainer.trainer import Trainer
 
 LEFT = Crop(shape="box", centre=(-5.0, 0.0, 0.0), half_extents=(5.0, 10.0, 10.0))
 """x below 0."""

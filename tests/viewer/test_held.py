@@ -29,10 +29,11 @@ from splatview.scene.captures.demo import demo_capture
 from splatview.scene.edits import DELETED, HIDDEN, Crop
 from splatview.scene.formats import load_scene
 from splatview.trainer.background import BackgroundTraining
+from splatview.trainer.editing import CUT_STEPS
 from splatview.trainer.initialisation import initial_parameters
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.trainer import CUT_STEPS, Trainer
+from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
 from splatview.viewer.commands import COMMANDS
 from splatview.viewer.editing.session import Editing, EditSession, session_for_edit, session_of

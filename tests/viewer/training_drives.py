@@ -29,9 +29,9 @@ from splatview.edit.tools import NoTools
 from splatview.raster.compiling import niceness
 from splatview.scene import InputError
 from splatview.scene.edits import SceneEdits
+from splatview.trainer.editing import CUT_STEPS
 from splatview.trainer.effects import SCENES
 from splatview.trainer.run import TrainingRun
-from splatview.trainer.trainer import CUT_STEPS
 from splatview.viewer import app as window
 from splatview.viewer import dialogs as file_dialogs
 from splatview.viewer.app import ATTENDED_SECONDS

@@ -498,14 +498,15 @@ PASSING_SHARE = 0.2
 """Share of the photos trained on that something passes before."""
 
 
-def with_passing(capture: Capture, seed: int) -> Capture:
+def with_passing(capture: Capture, seed: int, *, masked: bool = False) -> Capture:
     """The capture with a spot before the scene in some of the photos trained on, in each another: a sixth to
-    two fifths as wide as the photo, half to four fifths as high, of a mottled colour."""
+    two fifths as wide as the photo, half to four fifths as high, of a mottled colour. `masked`: the photos'
+    masks take them out."""
     rng = np.random.default_rng(seed)
     names = [photo.name for photo in capture.train]
     picked = set(rng.choice(names, max(1, round(PASSING_SHARE * len(names))), replace=False))
     photos = [
-        replace(photo, pixels=spotted(photo.pixels, int(rng.integers(1 << 30))))
+        replace(photo, pixels=spotted(photo.pixels, int(rng.integers(1 << 30)), masked=masked))
         if photo.name in picked
         else photo
         for photo in capture.photos
@@ -513,8 +514,8 @@ def with_passing(capture: Capture, seed: int) -> Capture:
     return replace(capture, photos=tuple(photos))
 
 
-def spotted(pixels: Callable[[], Pixels], seed: int) -> Callable[[], Pixels]:
-    """The photo's pixels with a spot on them."""
+def spotted(pixels: Callable[[], Pixels], seed: int, *, masked: bool = False) -> Callable[[], Pixels]:
+    """The photo's pixels with a spot on them, which its mask takes out where `masked`."""
 
     def draw() -> Pixels:
         found, rng = pixels(), np.random.default_rng(seed)
@@ -535,7 +536,9 @@ def spotted(pixels: Callable[[], Pixels], seed: int) -> Callable[[], Pixels]:
         inside = across**2 + down**2 + 0.25 * clouds(8) < 1
         mottled = rng.uniform(20, 200, 3) + 30 * np.stack([clouds(20) for _ in range(3)], axis=-1)
         image[inside, :3] = np.clip(mottled, 0, 255)[inside]
-        return replace(found, image=image)
+        if not masked:
+            return replace(found, image=image)
+        return replace(found, image=image, mask=~inside if found.mask is None else found.mask & ~inside)
 
     return draw
 

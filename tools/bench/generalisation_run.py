@@ -178,7 +178,9 @@ def main() -> None:
     parser.add_argument("--split", type=int, default=0)
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--fault", help="one of capture_set.FAULTS: a tenth of the poses are wrong")
-    parser.add_argument("--repaired", action="store_true", help="without the photos of these poses")
+    parser.add_argument(
+        "--repaired", action="store_true", help="without the photos of these poses, or what passes"
+    )
     parser.add_argument(
         "--passing", action="store_true", help="something passes before a fifth of the photos"
     )
@@ -217,7 +219,7 @@ def main() -> None:
     if options.repaired:
         capture = replace(capture, photos=tuple(p for p in capture.photos if p.name not in wrong))
     if options.passing:
-        capture = with_passing(capture, options.split)
+        capture = with_passing(capture, options.split, masked=options.repaired)
     centre = capture.centre
     capture = capture.about(centre)
     views, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
@@ -294,6 +296,11 @@ def main() -> None:
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         **skies,
         **(outliers(trainer, wrong) if hasattr(trainer, "outliers") else {}),
+        **(
+            {"transients": [trainer.transients.found, trainer.transients.evidence]}
+            if hasattr(trainer, "transients")
+            else {}
+        ),
         "set": fields,
     }
     print(json.dumps(result | ({"curve": curve} if curve else {})))

@@ -275,7 +275,7 @@ def _choices(app: AppState, state: TrainingStart) -> None:
         form.passing,
         PASSING,
         "What one photo alone shows in front of what others do, as somebody who walks past.",
-        ("Taken out as training ends", "Stays"),
+        ("Masked, and taken out", "Stays"),
     )
     if passing is not None:
         form.passing = passing

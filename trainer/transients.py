@@ -1,0 +1,294 @@
+"""Transients: parts of photos that the others contradict, as somebody who walks past; a run masks them.
+
+Early in a run, once there is a scene, and before single photos are learnt by heart, each photo is compared
+with what the scene shows from its camera without the splats that this photo alone shows. Where low
+frequencies differ by much more than those of other photos do at the same places, and what others show is
+opaque, the photo shows something else than they do. Masks then keep it from the scene; without them it
+becomes a floater before other cameras.
+
+That a place is hard to learn all its photos say, so that each pixel has what is usual there: every splat's
+mean difference over the other photos, by its contributions to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from splatview.raster import Parameters, Workspace, draw_frame
+from splatview.raster.gradients import differentiate
+from splatview.scene import RenderSettings
+from splatview.scene.sh import SH_C0
+from splatview.trainer.distributed import Group
+from splatview.trainer.exposure import least_absolute
+from splatview.trainer.outliers import COMPARED_SIDE, DECIDED_AT, DECIDED_BY, LEAST_ROUNDS, window_sums
+from splatview.trainer.views import TrainView
+
+Mode = Literal["auto", "off"]
+
+FEWEST_PHOTOS = 8
+"""Of fewer nobody could say which are the others."""
+
+RADIUS = 3
+"""px of windows over which differences are means: edges that a scene has not learnt yet cancel out."""
+
+LEAST_RATIO = 2.5
+"""Of a difference to what is usual at its place, and `USUAL`, from which on it is a transient."""
+
+USUAL = 0.02
+"""Of 1: by so much photos differ anywhere."""
+
+LEAST_DIFFERENCE = 0.05
+"""Of 1, that it must be besides."""
+
+LEAST_OPACITY = 0.9
+"""Of what others show there."""
+
+EDGE = 0.5
+"""Share of `LEAST_RATIO` and `LEAST_DIFFERENCE` that all of a transient has which reaches them somewhere."""
+
+LEAST_PART = 0.003
+"""Of a photo, that must reach them: less is noise."""
+
+LARGEST_SHARE = 1 / 3
+"""Of the photos that may have transients: where more do, the scene is not what photos agree on."""
+
+ALONE = 0.9
+"""Share of a splat's contributions to all photos, of which a photo that has more shows it alone."""
+
+LEAST_OTHERS = 0.02
+"""Share of a splat's contributions that other photos must have to know it."""
+
+
+@dataclass(eq=False)
+class Transients:
+    """Which parts of a run's photos are masked."""
+
+    names: Sequence[str]
+    """Names of the photos, by camera."""
+    mode: Mode = "auto"
+    is_decided: bool = False
+
+    def __post_init__(self) -> None:
+        self.regions: list[np.ndarray | None] = [None] * len(self.names)
+        """(h, w) bool for each photo, made smaller: true where it is masked; None: nowhere."""
+        self.found = 0
+        """Photos that have some, whether they are masked or not."""
+
+    def is_due(self, progress: float, rounds: float) -> bool:
+        """Whether it is to be decided now, at this share of the run and after so many looks at each photo."""
+        if self.mode == "off" or self.is_decided or len(self.names) < FEWEST_PHOTOS:
+            return False
+        return DECIDED_AT <= progress < DECIDED_BY and rounds >= LEAST_ROUNDS
+
+    def decide(self, regions: Sequence[np.ndarray]) -> None:
+        """Masks these parts of the photos, (h, w) bool each; none where too many photos have some."""
+        self.is_decided = True
+        self.found = sum(bool(region.any()) for region in regions)
+        if self.found <= LARGEST_SHARE * len(self.names):
+            self.regions = [region if region.any() else None for region in regions]
+
+    @property
+    def masked(self) -> int:
+        """Photos of which a part is masked."""
+        return sum(region is not None for region in self.regions)
+
+    @property
+    def evidence(self) -> str:
+        """What was found, for the user; "" where nobody has looked."""
+        if not self.is_decided:
+            return ""
+        if not self.found:
+            return "photos agree with one another"
+        if not self.masked:
+            return f"{self.found} of {len(self.names)} photos contradict others somewhere, too many to mask"
+        shares = [0.0 if region is None else region.mean() for region in self.regions]
+        most = int(np.argmax(shares))
+        return (
+            f"{self.masked} of {len(self.names)} photos show something that others do not, in"
+            f" {100 * np.sum(shares) / self.masked:.1f} % of their pixels; most of all {self.names[most]}"
+        )
+
+    def blocks(self, views: Sequence[TrainView]) -> list[np.ndarray | None] | None:
+        """(H, W) bool for each of the photos, in full size, or None where all of it is trained on; None where
+        all of all are."""
+        if not self.masked:
+            return None
+        pairs = zip(views, self.regions, strict=True)
+        return [
+            None if region is None else enlarged(region, *view.pixels.shape[:2]) for view, region in pairs
+        ]
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Arrays that `restore` takes."""
+        numbers = np.array([self.is_decided, self.found, len(self.names)], np.int64)
+        parts = {f"transients.{row}": part for row, part in enumerate(self.regions) if part is not None}
+        return {"transients": numbers} | parts
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Goes on from the `state` of another run of the same photos. Raises ValueError: it was of others."""
+        numbers = state["transients"]
+        if numbers.shape != (3,) or numbers[2] != len(self.names):
+            raise ValueError("its transients are not those of its photos")
+        parts = [state.get(f"transients.{row}") for row in range(len(self.names))]
+        if any(part is not None and (part.ndim != 2 or part.dtype != np.bool_) for part in parts):
+            raise ValueError("its transients are no masks")
+        self.is_decided, self.found, self.regions = bool(numbers[0]), int(numbers[1]), parts
+
+
+def find_transients(
+    parameters: Parameters,
+    views: Sequence[TrainView],
+    taken: np.ndarray,
+    settings: RenderSettings,
+    threads: int | None = None,
+) -> list[np.ndarray]:
+    """(h, w) bool for each photo, `COMPARED_SIDE` px and more along its longer side: where it shows something
+    that the others contradict, by the scene as it is. `taken` (P,) bool: the photos that are trained on, of
+    which the scene tells."""
+    small = [
+        view.smaller(max(round(max(view.camera.width, view.camera.height) / COMPARED_SIDE), 1))
+        for view in views
+    ]
+    count, workspace = len(parameters.means), Workspace()
+    usual = replace(settings, sh_degree=0, background=(0.0, 0.0, 0.0))
+    total, most, sums = np.zeros(count), np.zeros(count), np.zeros(count)
+    of, fits, differences = np.full(count, -1), {}, {}
+    for row in np.flatnonzero(taken):
+        picture = draw_frame(parameters, small[row].camera, settings, workspace, threads=threads).image
+        fits[row] = exposure_between(picture, small[row])
+        differences[row] = np.abs(difference(picture, small[row], fits[row])).mean(axis=2)
+        shown, noted = by_splat(parameters, small[row], usual, differences[row], workspace, threads)
+        of[shown > most] = row
+        np.maximum(most, shown, out=most)
+        total += shown
+        sums += noted
+    alone, regions = most > ALONE * total, []
+    for row, view in enumerate(small):
+        regions.append(np.zeros(view.pixels.shape[:2], np.bool_))
+        if not taken[row] or not mean_about(differences[row]).max() >= LEAST_DIFFERENCE:
+            continue
+        own, noted = by_splat(parameters, view, usual, differences[row], workspace, threads)
+        others = ~(alone & (of == row))
+        rest = Parameters(*(np.ascontiguousarray(array[others]) for array in parameters))
+        picture = draw_frame(rest, view.camera, settings, workspace, threads=threads).image
+        know = total - own
+        known = know > LEAST_OTHERS * total
+        expected = np.where(known, (sums - noted) / np.maximum(know, 1e-12), 0)
+        colours = np.stack([expected, known, np.zeros(count)], axis=1)[others]
+        coloured = rest._replace(sh=((colours - 0.5) / SH_C0)[:, None].astype(np.float32))
+        drawn = draw_frame(coloured, view.camera, usual, workspace, threads=threads).image
+        regions[row] = contradicted(picture, view, fits[row], drawn)
+    return regions
+
+
+def agreed(regions: Sequence[np.ndarray], group: Group) -> list[np.ndarray]:
+    """What most processes have found, to the last pixel: the same for each."""
+    votes = [region.astype(np.float64) for region in regions]
+    group.add_up(votes)
+    return [vote > group.size / 2 for vote in votes]
+
+
+def by_splat(
+    parameters: Parameters,
+    view: TrainView,
+    settings: RenderSettings,
+    values: np.ndarray,
+    workspace: Workspace,
+    threads: int | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) each splat's contributions to a photo's view, and (N,) their sum with `values` (H, W): gradients
+    by its colour, which nothing else changes."""
+    grey = parameters._replace(sh=np.zeros((len(parameters.means), 1, 3), np.float32))
+    frame = draw_frame(grey, view.camera, settings, workspace, threads=threads)
+    weights = np.zeros_like(frame.image)
+    weights[..., 0], weights[..., 1] = 1, values
+    if view.mask is not None:
+        weights *= view.mask[..., None]
+    found = differentiate(grey, frame, weights, by_view=False).parameters.sh[:, 0] / SH_C0
+    return np.maximum(found[:, 0], 0).astype(np.float64), np.maximum(found[:, 1], 0).astype(np.float64)
+
+
+def exposure_between(picture: np.ndarray, view: TrainView) -> np.ndarray:
+    """(3, 2) gain and offset by which a picture (H, W, 4) meets its photo, by the least absolute difference
+    where it is opaque; 1 and 0 where too little is."""
+    known = picture[..., 3] > LEAST_OPACITY
+    if view.mask is not None:
+        known &= view.mask
+    found = np.tile((1.0, 0.0), (3, 1))
+    if known.sum() < FEWEST_PIXELS:
+        return found
+    for channel in range(3):
+        shown = np.clip(picture[known, channel], 0, 1).astype(np.float64)
+        design = np.stack([shown, np.ones(len(shown))], axis=1)
+        gain, offset = least_absolute(design, view.pixels[known, channel] / 255)
+        if LEAST_GAIN < gain < 1 / LEAST_GAIN:
+            found[channel] = gain, offset
+    return found
+
+
+FEWEST_PIXELS = 100
+"""From which exposures can be told."""
+
+LEAST_GAIN = 0.5
+"""Gains beyond which it is no exposure that differs."""
+
+
+def difference(picture: np.ndarray, view: TrainView, fit: np.ndarray) -> np.ndarray:
+    """(H, W, 3) of a picture (H, W, 4), after a fit of exposures, to its photo; 0 where that is masked."""
+    found = np.clip(np.nan_to_num(picture[..., :3]), 0, 1) * fit[:, 0] + fit[:, 1] - view.pixels / 255
+    return found if view.mask is None else found * view.mask[..., None]
+
+
+def contradicted(picture: np.ndarray, view: TrainView, fit: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """(H, W) bool: where a photo shows something else than what others do. `picture` (H, W, 4): what they
+    show from its camera; `usual` (H, W, 4): in red how much they differ at the same places, in green how
+    much of that is known."""
+    low = np.abs(mean_about(difference(picture, view, fit))).mean(axis=2)
+    usual = mean_about(usual[..., :2].astype(np.float64))
+    ratio = low / (usual[..., 0] / np.maximum(usual[..., 1], LEAST_KNOWN) + USUAL)
+    sure = mean_about(picture[..., 3].astype(np.float64)) > LEAST_OPACITY
+    if view.mask is not None:
+        sure &= view.mask
+    weak = sure & (ratio > EDGE * LEAST_RATIO) & (low > EDGE * LEAST_DIFFERENCE)
+    strong = weak & (ratio > LEAST_RATIO) & (low > LEAST_DIFFERENCE)
+    if not strong.mean() >= LEAST_PART:
+        return np.zeros(strong.shape, np.bool_)
+    return about(grown(strong, weak))
+
+
+LEAST_KNOWN = 0.05
+"""Of what is usual in a pixel, below which it counts as less than it is."""
+
+
+def mean_about(values: np.ndarray) -> np.ndarray:
+    """Means of (H, W, ...) over windows of `RADIUS`, cut off at the border."""
+    return window_sums(values, RADIUS) / window_sums(
+        np.ones((*values.shape[:2], *(1,) * (values.ndim - 2))), RADIUS
+    )
+
+
+def about(pixels: np.ndarray) -> np.ndarray:
+    """(H, W) bool: these pixels and their neighbours."""
+    return window_sums(pixels.astype(np.float64), 1) > 0.5
+
+
+def grown(seeds: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the pixels of `within` that are connected to `seeds`, which are some of them."""
+    while True:
+        more = about(seeds) & within
+        if (more == seeds).all():
+            return seeds
+        seeds = more
+
+
+def enlarged(region: np.ndarray, height: int, width: int) -> np.ndarray:
+    """(height, width) bool of (h, w), the nearest pixel of which each is."""
+    rows, columns = (
+        np.minimum(np.arange(large) * small // large, small - 1)
+        for large, small in zip((height, width), region.shape, strict=True)
+    )
+    return region[np.ix_(rows, columns)]
