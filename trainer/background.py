@@ -13,10 +13,10 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
@@ -31,6 +31,7 @@ from splatview.trainer.counters import History, PluginError
 from splatview.trainer.evaluate import Evaluation
 from splatview.trainer.run import TrainingRun
 from splatview.trainer.settings import TrainSettings
+from splatview.trainer.views import TrainView
 
 State = Literal["training", "paused", "done", "failed"]
 
@@ -98,6 +99,8 @@ class Status:
     """Step at which scene and checkpoint were last written by this thread."""
     left_out: frozenset[str] = frozenset()
     """Names of the photos that are not trained on, as they disagree with the others."""
+    in_part: Mapping[str, TrainView] = field(default_factory=dict)
+    """Photos that are trained on without some of their pixels, which others contradict, by name."""
     scene: int = 1
     """Number of the scene in training, see `ensemble`: of later ones than the first, minutes tell the end."""
 
@@ -453,6 +456,7 @@ class BackgroundTraining:
             gaussians=len(trainer.scene),
             sh_degree=trainer.scene.sh_degree,
             left_out=trainer.outliers.names_left_out,
+            in_part=trainer.views.in_part,
             scene=1 if trainer.scene is trainer.splats else len(trainer.members) + 1,
             **changes,
         )

@@ -35,25 +35,25 @@ FEWEST_PHOTOS = 8
 RADIUS = 3
 """px of windows over which differences are means: edges that a scene has not learnt yet cancel out."""
 
-LEAST_RATIO = 2.5
+LEAST_RATIO = 4.0
 """Of a difference to what is usual at its place, and `USUAL`, from which on it is a transient."""
 
 USUAL = 0.02
 """Of 1: by so much photos differ anywhere."""
 
-LEAST_DIFFERENCE = 0.05
+LEAST_DIFFERENCE = 0.08
 """Of 1, that it must be besides."""
 
 LEAST_OPACITY = 0.9
 """Of what others show there."""
 
-EDGE = 0.5
+EDGE = 0.3
 """Share of `LEAST_RATIO` and `LEAST_DIFFERENCE` that all of a transient has which reaches them somewhere."""
 
 LEAST_PART = 0.003
 """Of a photo, that must reach them: less is noise."""
 
-LARGEST_SHARE = 1 / 3
+LARGEST_SHARE = 1 / 4
 """Of the photos that may have transients: where more do, the scene is not what photos agree on."""
 
 ALONE = 0.9

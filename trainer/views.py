@@ -188,6 +188,13 @@ class TrainViews:
         if blocks is not None:
             self._parts = {1: [_without(view, part) for view, part in zip(self.all, blocks, strict=True)]}
 
+    @property
+    def in_part(self) -> dict[str, TrainView]:
+        """Photos that steps take without some of their pixels, by name, in full size."""
+        parts = self.all if self._parts is None else self._parts[1]
+        pairs = zip(parts, self.all, strict=True)
+        return {part.camera.name: part for part, whole in pairs if part is not whole}
+
     def _trained(self, factor: int) -> list[TrainView]:
         """What steps take of all photos, smaller by a factor."""
         if self._parts is None:

@@ -336,6 +336,24 @@ def test_what_a_mask_leaves_out_differs_nowhere(capture):
     assert (made.difference[:, 10:] == 0).all() and made.difference[:, :10].any()
 
 
+def test_what_is_not_trained_on_is_dark(capture):
+    shot = train_views(capture.photos)[1]
+    mask = np.ones(shot.pixels.shape[:2], bool)
+    mask[:, 10:20] = False
+    elsewhere = replace(shot.about(np.array([5.0, 0, 0])), mask=mask)
+    whole = ComparisonRequest(
+        shot=shot, gaussians=initial_scene(capture), settings=RenderSettings(), shrink=1, gain=9.0
+    )
+    before = compare(whole)
+    made = compare(replace(whole, in_part=elsewhere), 1, before)
+    assert (made.photo[:, :10] == shot.pixels[:, :10]).all() and (
+        made.photo[:, 20:] == shot.pixels[:, 20:]
+    ).all()
+    assert made.photo[:, 10:20].max() <= 0.3 * 255 < shot.pixels[:, 10:20].max()
+    assert not made.difference[:, 10:20].any() and (made.render == before.render).all()
+    assert made.psnr != before.psnr, "it is measured without"
+
+
 @pytest.mark.parametrize("masked", [False, True])
 @pytest.mark.parametrize("exposures_differ", [False, True])
 def test_a_photo_has_one_score(training, capture, masked, exposures_differ):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -192,6 +194,31 @@ def test_a_photo_of_a_wrong_pose_is_left_out_and_marked(drive, tmp_path):
     (line,) = found["told"]
     assert line.startswith("photos left out: 1 of 14 photos disagree with the others")
     assert "--outliers off" in line
+
+
+def test_what_passes_before_a_photo_is_masked_and_dark(drive, tmp_path):
+    photos = demo_capture(render, photos=16, width=96, height=72, splats=4000)
+    save_capture(photos, tmp_path / "pond")
+    content = json.loads((tmp_path / "pond" / "transforms.json").read_text(encoding="utf8"))
+    name = content["frames"][5]["file_path"]
+    with Image.open(tmp_path / "pond" / name) as image:
+        pixels = np.array(image.convert("RGB"))
+    pixels[24:50, 30:56] = (250, 20, 220)
+    Image.fromarray(pixels).save(tmp_path / "pond" / name)
+    found = drive(
+        "masks",
+        tmp_path / "pond",
+        script=SCRIPT,
+        train=["--iterations", "6000", "--max-splats", "3000"],
+        shot=str(Path(shots) / "transients.png") if (shots := os.environ.get("SPLATVIEW_SHOTS")) else None,
+    )
+    assert found["in_part"] == [name]
+    (line,) = found["told"]
+    assert line.startswith("transients masked: 1 of 14 photos show something that others do not")
+    assert "--passing stay" in line
+    dark = np.array(found["photo"])
+    rows, columns = (side * dark.shape[axis] // pixels.shape[axis] for axis, side in ((0, 37), (1, 43)))
+    assert dark[rows, columns].max() < 100 < pixels[37, 43].max()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")

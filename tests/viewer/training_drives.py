@@ -251,6 +251,34 @@ def leaves_out(app: AppState, hand: Hand, options: dict[str, Any], found: dict[s
     found["told"] = [message.text for message in app.messages if "photos left out" in message.text]
 
 
+def masks(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
+    """A photo before which something passes is marked in the list, and dark there beside the scene."""
+    training = training_of(app)
+    hand.wait(lambda: bool(training.status.in_part), "a photo to be masked in part")
+    found["in_part"] = sorted(training.status.in_part)
+    index = next(i for i, photo in enumerate(training.photos) if photo.name in training.status.in_part)
+    hand.strip("Compare")
+    ctx = hand.ctx
+    while training.photo_index != index:
+        ctx.item_click("//Compare/###next")
+        hand.frames(2)
+
+    def is_dark() -> bool:
+        latest = training.comparer.latest
+        return latest is not None and latest.request.in_part is training.status.in_part[found["in_part"][0]]
+
+    hand.wait(is_dark, "the comparison")
+    latest = training.comparer.latest
+    assert latest is not None
+    found["photo"] = latest.photo.astype(int).tolist()
+    ctx.item_close("//Training/Recipe")
+    ctx.item_open("//Training/Photos")
+    ctx.item_click("//Training/Measure")  # which scrolls to the list
+    hand.frames(5)
+    hand.shoot(options.get("shot"))
+    found["told"] = [message.text for message in app.messages if "transients masked" in message.text]
+
+
 def elsewhere(app: AppState, hand: Hand, options: dict[str, Any], found: dict[str, Any]) -> None:
     """Another scene is opened while training goes on, and the training shown again; then it ends."""
     training = training_of(app)
@@ -497,6 +525,7 @@ functions: dict[str, Callable[[AppState, Hand, dict[str, Any], dict[str, Any]], 
         closes,
         elsewhere,
         leaves_out,
+        masks,
         edits,
         edits_a_later_scene,
     )

@@ -170,6 +170,38 @@ def outliers(trainer: Any, wrong: list[str]) -> dict[str, Any]:
     }
 
 
+def passing_before(capture: Any, split: int) -> dict[str, np.ndarray]:
+    """(H, W) bool by photo: where something is put before it."""
+    pairs = zip(capture.train, with_passing(capture, split, masked=True).train, strict=True)
+    found = {}
+    for photo, masked in pairs:
+        if photo.pixels is not masked.pixels:
+            own, mask = photo.pixels().mask, masked.pixels().mask
+            hidden = np.asarray(mask) == 0
+            found[photo.name] = hidden if own is None else own & hidden
+    return found
+
+
+def transients(trainer: Any, passing: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What the run has masked; and of the photos before which something passes, how many these are, how many
+    of them are masked, and how much their masks and what passes have in common, of what either covers."""
+    found = trainer.transients
+    pairs = zip(found.names, found.blocks(trainer.views.all) or [None] * len(found.names), strict=True)
+    masked = {name: mask for name, mask in pairs if mask is not None}
+    hit = [name for name in passing if name in masked]
+    common = sum(int((masked[name] & passing[name]).sum()) for name in hit)
+    either = sum(int((masked[name] | passing[name]).sum()) for name in hit)
+    return {
+        "found": found.found,
+        "masked": sorted(masked),
+        "pixels": sum(float(mask.mean()) for mask in masked.values()) / len(found.names),
+        "passing": len(passing),
+        "hit": len(hit),
+        "common": common / either if either else None,
+        "evidence": found.evidence,
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("name")
@@ -218,8 +250,11 @@ def main() -> None:
         capture, wrong = with_fault(capture, options.fault, options.split)
     if options.repaired:
         capture = replace(capture, photos=tuple(p for p in capture.photos if p.name not in wrong))
+    passing: dict[str, np.ndarray] = {}
     if options.passing:
-        capture = with_passing(capture, options.split, masked=options.repaired)
+        whole = capture
+        capture = with_passing(whole, options.split, masked=options.repaired)
+        passing = passing_before(whole, options.split)
     centre = capture.centre
     capture = capture.about(centre)
     views, held_out = TrainViews(train_views(capture.train), 0), train_views(capture.held_out)
@@ -296,11 +331,7 @@ def main() -> None:
         "mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         **skies,
         **(outliers(trainer, wrong) if hasattr(trainer, "outliers") else {}),
-        **(
-            {"transients": [trainer.transients.found, trainer.transients.evidence]}
-            if hasattr(trainer, "transients")
-            else {}
-        ),
+        **({"transients": transients(trainer, passing)} if hasattr(trainer, "transients") else {}),
         "set": fields,
     }
     print(json.dumps(result | ({"curve": curve} if curve else {})))

@@ -66,6 +66,12 @@ def table(app: AppState, training: LiveTraining) -> None:
             elif photo.name in left_out:
                 imgui.text_colored(theme.WARNING, "left out")
                 widgets.tooltip("It disagrees with the other photos: its camera's pose may be wrong.")
+            elif photo.name in training.status.in_part:
+                imgui.text_colored(theme.WARNING, "in part")
+                widgets.tooltip(
+                    "What of it the other photos contradict is masked, and dark beside the scene: somebody"
+                    " who walks past, perhaps."
+                )
             else:
                 imgui.text_colored(theme.QUIET, "trained")
             imgui.table_next_column()
@@ -140,6 +146,7 @@ def tools(app: AppState, training: LiveTraining) -> None:
     )
     imgui.same_line()
     kind = "held out" if training.photo.held_out else "trained"
+    kind = "trained in part" if training.photo.name in training.status.in_part else kind
     kind = "left out" if training.photo.name in training.status.left_out else kind
     imgui.text_unformatted(f"{training.photo.label} ({kind})   {training.score_text()}")
     widgets.tooltip(
@@ -169,6 +176,7 @@ def request(app: AppState, training: LiveTraining, width: float, height: float) 
             shrink=shrink_for(camera.width, camera.height, (width * scale.x, height * scale.y)),
             gain=training.gain,
             exposures_differ=training.shown.exposures_differ,
+            in_part=training.status.in_part.get(training.photo.name),
         )
     )
 

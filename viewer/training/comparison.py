@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import moderngl
 import numpy as np
@@ -14,6 +14,9 @@ from splatview.trainer.evaluate import masked_psnr
 from splatview.trainer.exposure import fitted_by_tiles
 from splatview.trainer.views import TrainView
 from splatview.viewer.tasks import LatestTask
+
+NOT_TRAINED = 0.3
+"""Brightness of what is not trained on of a photo."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +32,8 @@ class ComparisonRequest:
     """Factor by which differences are brightened."""
     exposures_differ: bool = False
     """Whether the score is that of the exposure that fits."""
+    in_part: TrainView | None = None
+    """The photo without what is not trained on, which is dark; None: all of it is."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,10 +68,16 @@ def compare(
 ) -> Comparison:
     """The pictures of a request. `last`: an earlier comparison, whose parts are taken where they fit."""
     same_view = (
-        last is not None and last.request.shot is request.shot and last.request.shrink == request.shrink
+        last is not None
+        and last.request.shot is request.shot
+        and last.request.in_part is request.in_part
+        and last.request.shrink == request.shrink
     )
-    shot = request.shot.smaller(request.shrink)
+    shot = request.shot if request.in_part is None else replace(request.shot, mask=request.in_part.mask)
+    shot = shot.smaller(request.shrink)
     photo = last.photo if last is not None and same_view else shot.pixels
+    if request.in_part is not None and shot.mask is not None and not same_view:
+        photo = np.where(shot.mask[..., None], photo, (photo * NOT_TRAINED).astype(np.uint8))
     if last is not None and same_view and last.request.gaussians is request.gaussians:
         render, score = last.render, last.psnr
     else:
