@@ -486,6 +486,11 @@ class TrainingRun:
         self.effects = with_transients(self.effects, transients)
         if transients.masked:
             self.on_note(f"{TRANSIENTS} masked: {transients.evidence}; --passing stay trains on them")
+        elif transients.found:
+            self.on_note(
+                f"{TRANSIENTS}: none masked; {transients.evidence}: things may have moved or been turned, or"
+                " poses be wrong, as where sides of a thing look alike"
+            )
 
     def _tell_edit(self) -> None:
         trainer = self.trainer

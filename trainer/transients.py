@@ -257,7 +257,7 @@ def contradicted(picture: np.ndarray, view: TrainView, fit: np.ndarray, usual: n
     strong = weak & (ratio > LEAST_RATIO) & (low > LEAST_DIFFERENCE)
     if not strong.mean() >= LEAST_PART:
         return np.zeros(strong.shape, np.bool_)
-    return about(grown(strong, weak))
+    return closed(about(grown(strong, weak)))
 
 
 LEAST_KNOWN = 0.05
@@ -271,9 +271,21 @@ def mean_about(values: np.ndarray) -> np.ndarray:
     )
 
 
-def about(pixels: np.ndarray) -> np.ndarray:
-    """(H, W) bool: these pixels and their neighbours."""
-    return window_sums(pixels.astype(np.float64), 1) > 0.5
+def about(pixels: np.ndarray, radius: int = 1) -> np.ndarray:
+    """(H, W) bool: these pixels and those up to `radius` px beside them."""
+    return window_sums(pixels.astype(np.float64), radius) > 0.5
+
+
+def closed(pixels: np.ndarray) -> np.ndarray:
+    """(H, W) bool: these pixels and gaps between them into which no square of `GAP` fits."""
+    wide = about(np.pad(pixels, GAP), GAP)
+    return ~about(~wide, GAP)[GAP:-GAP, GAP:-GAP]
+
+
+GAP = 10
+"""px, half a side: in a part of it what passes may look like what is behind. Without it masks and spots have
+0.55 to 0.78 of what either covers in common, with 6 px 0.56 to 0.78, with 10 px 0.57 to 0.79 (`fox`, `desk`,
+`carton`, `gum`, `stitch`)."""
 
 
 def grown(seeds: np.ndarray, within: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from splatview.trainer.transients import (
     Transients,
     agreed,
     by_splat,
+    closed,
     contradicted,
     enlarged,
     exposure_between,
@@ -171,6 +172,13 @@ def test_regions_are_made_larger_and_joined() -> None:
     seeds = np.zeros_like(grid)
     seeds[1, 1] = True
     assert grown(seeds, grid).sum() == 4, "what is not connected stays out"
+    ring = np.zeros((60, 70), np.bool_)
+    ring[20:30, 30:42], ring[24:26, 34:38] = True, False
+    whole = closed(ring)
+    assert whole[20:30, 30:42].all() and whole.sum() == 120, "gaps are filled, and nothing is larger"
+    apart = np.zeros((60, 70), np.bool_)
+    apart[30, [5, 60]] = True
+    assert closed(apart).sum() == 2
     assert joined(None, None) is None and joined([region], None) == [region]
     (both, other) = joined([region, None], [~region, region]) or ()
     assert both is not None and both.all() and other is region
@@ -203,6 +211,23 @@ def test_the_user_is_told_where(views, start, tmp_path: Path) -> None:
     assert line.startswith("transients masked: 1 of 20 photos show something that others do not, in ")
     assert line.endswith("most of all view_3.png; --passing stay trains on them")
     assert run.effects[0].on and "view_3.png" in run.effects[0].why
+
+
+def test_many_that_contradict_others_are_told_of(views, start, tmp_path: Path, monkeypatch) -> None:
+    found = [np.full((40, 48), i % 3 == 0) for i in range(len(views))]
+    monkeypatch.setattr("splatview.trainer.trainer.find_transients", lambda *given: found)
+    outputs = Outputs(
+        scene=tmp_path / "s.ply", checkpoint=tmp_path / "s.safetensors", metrics=None, pictures=tmp_path
+    )
+    effect, notes = Effect(name=TRANSIENTS, on=False, why="", saving=Saving()), []
+    run = TrainingRun(
+        make_trainer(views, start), [], outputs, started=0.0, effects=(effect,), on_note=notes.append
+    )
+    while not run.trainer.transients.is_decided:
+        run.step()
+    (line,) = [note for note in notes if TRANSIENTS in note]
+    assert "transients: none masked; 7 of 20 photos contradict others somewhere, too many to mask" in line
+    assert "poses be wrong" in line and not run.effects[0].on and not run.trainer.views.in_part
 
 
 def test_a_resumed_run_masks_the_same(views, start, tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 python tools/readme/readme_pictures.py [NAME ...]
 
-Names: landscape, modes, window, timeline, editing, crop, film, accuracy, effects, training. None: all.
+Names: landscape, modes, window, timeline, editing, crop, film, accuracy, effects, training,
+transients. None: all.
 """
 
 from __future__ import annotations
@@ -171,6 +172,49 @@ def training(folder: Path) -> None:
     grab(command, folder / "training.png", SECONDS_TO_TRAIN)
 
 
+def transients(folder: Path) -> None:
+    """A photo of the demo with what passes before it, dark where training masks it; and the scene that is
+    trained from such photos as they are, and with masks."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from splatview.raster import render as draw
+    from splatview.scene.captures.demo import demo_capture
+    from splatview.trainer.setup import settings_for, trainer_for
+    from splatview.trainer.views import TrainViews, train_views
+
+    capture = demo_capture(draw, photos=16, width=320, height=180)
+    views = train_views(capture.train)
+    y, x = np.mgrid[:180, :320]
+    for place in range(1, len(views), 4):
+        pixels = views[place].pixels.copy()
+        middle, colour = 60 + 37 * place % 200, ((200, 60, 50), (60, 90, 200), (230, 200, 60))[place % 3]
+        body = ((x - middle) / 22) ** 2 + ((y - 125) / 60) ** 2 < 1
+        head = (x - middle) ** 2 + (y - 50) ** 2 < 14**2
+        pixels[body], pixels[head] = colour, (205, 165, 140)
+        views[place] = replace(views[place], pixels=pixels)
+    tiles = []
+    for mode in ("off", "auto"):
+        trained = TrainViews(views, 0)
+        settings = settings_for(capture, trained, iterations=1500, transients=mode, max_splats=20_000)
+        trainer = trainer_for(capture, trained, settings, centre=np.zeros(3))
+        while not trainer.done:
+            trainer.step()
+        name = next(iter(trainer.views.in_part), views[0].camera.name)
+        cameras = [photo.camera for photo in capture.held_out]
+        tiles.append([draw(trainer.snapshot(), camera)[..., :3] for camera in cameras])
+    part = trainer.views.in_part[name]
+    dark = (
+        part.pixels / 255 if part.mask is None else part.pixels / 255 * np.where(part.mask, 1, 0.3)[..., None]
+    )
+    shown = max(zip(*tiles, strict=True), key=lambda pair: np.abs(pair[0] - pair[1]).mean())
+    sheet = np.concatenate([dark, *shown], axis=1)
+    Image.fromarray((np.clip(sheet, 0, 1) * 255 + 0.5).astype(np.uint8)).save(
+        folder / "transients.png", optimize=True
+    )
+
+
 MAKERS = {
     "landscape": landscape,
     "modes": modes,
@@ -182,6 +226,7 @@ MAKERS = {
     "accuracy": accuracy,
     "effects": effects,
     "training": training,
+    "transients": transients,
 }
 
 
