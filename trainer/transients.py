@@ -36,7 +36,16 @@ RADIUS = 3
 """px of windows over which differences are means: edges that a scene has not learnt yet cancel out."""
 
 LEAST_RATIO = 4.0
-"""Of a difference to what is usual at its place, and `USUAL`, from which on it is a transient."""
+"""Of a difference to what is usual at its place, and `USUAL`, from which on it is a transient.
+
+Chosen on states at a tenth of runs of a minute. With spots before a fifth of the photos of `fox`, `desk`,
+`carton`, `gum` and `stitch` 41 of 44 are found, and one other photo. As they are, `statue` and `field` have
+none, `queen` 1 of 15, `mug` 2 of 51, and `beer`, half of whose poses are wrong, 15 of 47. Dropped: ratios of
+2.5 and differences of 0.05, by which 43 are found and six others, but 12 of `queen`, 8 of `mug`, the shade of
+whoever took them, and 10 of `field`, tractors and clouds. A minute of these, as their photos are, those held
+out included: `mug` 29.82 dB without masks and 29.66 with them, `field` 28.57 and 28.36; with spots `banana`,
+two of which are found then, 26.97 and 27.30. With 5 and 0.1 31 are found.
+"""
 
 USUAL = 0.02
 """Of 1: by so much photos differ anywhere."""
@@ -48,7 +57,9 @@ LEAST_OPACITY = 0.9
 """Of what others show there."""
 
 EDGE = 0.3
-"""Share of `LEAST_RATIO` and `LEAST_DIFFERENCE` that all of a transient has which reaches them somewhere."""
+"""Share of `LEAST_RATIO` and `LEAST_DIFFERENCE` that all of a transient has which reaches them somewhere.
+With 0.4 and 0.5 masks cover 83 and 76 % of the spots of `desk` in place of 95, 86 and 80 of `fox` in place of
+92."""
 
 LEAST_PART = 0.003
 """Of a photo, that must reach them: less is noise."""
