@@ -67,6 +67,13 @@ LEAST_PART = 0.003
 LARGEST_SHARE = 1 / 4
 """Of the photos that may have transients: where more do, the scene is not what photos agree on."""
 
+SUSPECT, SUSPECT_RATIO = 0.75, 2.0
+"""Share of `LEAST_DIFFERENCE`, and ratio, by which a photo must differ from the scene as a whole to be looked
+at for what its own splats hide."""
+
+MOST_TOLD = 100
+"""Photos that say what is usual, besides those that are looked at."""
+
 ALONE = 0.9
 """Share of a splat's contributions to all photos, of which a photo that has more shows it alone."""
 
@@ -164,34 +171,35 @@ def find_transients(
         view.smaller(max(round(max(view.camera.width, view.camera.height) / COMPARED_SIDE), 1))
         for view in views
     ]
-    count, workspace = len(parameters.means), Workspace()
-    usual = replace(settings, sh_degree=0, background=(0.0, 0.0, 0.0))
-    total, most, sums = np.zeros(count), np.zeros(count), np.zeros(count)
-    of, fits, differences = np.full(count, -1), {}, {}
-    for row in np.flatnonzero(taken):
+    regions = [np.zeros(view.pixels.shape[:2], np.bool_) for view in small]
+    rows, usual = np.flatnonzero(taken), replace(settings, sh_degree=0, background=(0.0, 0.0, 0.0))
+    told = set(rows[:: -(-len(rows) // MOST_TOLD) or 1])
+    workspace, fits, lows, differences = Workspace(), {}, {}, {}
+    for row in rows:
         picture = draw_frame(parameters, small[row].camera, settings, workspace, threads=threads).image
         fits[row] = exposure_between(picture, small[row])
-        differences[row] = np.abs(difference(picture, small[row], fits[row])).mean(axis=2)
-        shown, noted = by_splat(parameters, small[row], usual, differences[row], workspace, threads)
-        of[shown > most] = row
-        np.maximum(most, shown, out=most)
-        total += shown
-        sums += noted
-    alone, regions = most > ALONE * total, []
-    for row, view in enumerate(small):
-        regions.append(np.zeros(view.pixels.shape[:2], np.bool_))
-        if not taken[row] or not mean_about(differences[row]).max() >= LEAST_DIFFERENCE:
+        apart = difference(picture, small[row], fits[row])
+        lows[row] = np.abs(mean_about(apart)).mean(axis=2).astype(np.float16)
+        differences[row] = np.abs(apart).mean(axis=2).astype(np.float16)
+    known = np.zeros((2, len(parameters.means)))
+    for row in told:
+        known += by_splat(parameters, small[row], usual, differences[row], workspace, threads)
+    coloured = with_usual(parameters, known)
+    for row in rows:
+        view = small[row]
+        if not (lows[row] > SUSPECT * LEAST_DIFFERENCE).mean() >= LEAST_PART:
             continue
-        own, noted = by_splat(parameters, view, usual, differences[row], workspace, threads)
-        others = ~(alone & (of == row))
-        rest = Parameters(*(np.ascontiguousarray(array[others]) for array in parameters))
-        picture = draw_frame(rest, view.camera, settings, workspace, threads=threads).image
-        know = total - own
-        known = know > LEAST_OTHERS * total
-        expected = np.where(known, (sums - noted) / np.maximum(know, 1e-12), 0)
-        colours = np.stack([expected, known, np.zeros(count)], axis=1)[others]
-        coloured = rest._replace(sh=((colours - 0.5) / SH_C0)[:, None].astype(np.float32))
         drawn = draw_frame(coloured, view.camera, usual, workspace, threads=threads).image
+        if not is_suspect(lows[row].astype(np.float64), drawn):
+            continue
+        own = by_splat(parameters, view, usual, differences[row], workspace, threads)
+        others = known - own if row in told else known
+        alone = own[0] > ALONE * (own[0] + others[0])
+        others[:, others[0] <= LEAST_OTHERS * (own[0] + others[0])] = 0
+        rest = Parameters(*(np.ascontiguousarray(array[~alone]) for array in parameters))
+        picture = draw_frame(rest, view.camera, settings, workspace, threads=threads).image
+        rest = with_usual(rest, others[:, ~alone])
+        drawn = draw_frame(rest, view.camera, usual, workspace, threads=threads).image
         regions[row] = contradicted(picture, view, fits[row], drawn)
     return regions
 
@@ -210,17 +218,38 @@ def by_splat(
     values: np.ndarray,
     workspace: Workspace,
     threads: int | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) each splat's contributions to a photo's view, and (N,) their sum with `values` (H, W): gradients
-    by its colour, which nothing else changes."""
+) -> np.ndarray:
+    """(2, N) float64: each splat's contributions to a photo's view, and their sum with `values` (H, W):
+    gradients by its colour, which nothing else changes."""
     grey = parameters._replace(sh=np.zeros((len(parameters.means), 1, 3), np.float32))
     frame = draw_frame(grey, view.camera, settings, workspace, threads=threads)
     weights = np.zeros_like(frame.image)
     weights[..., 0], weights[..., 1] = 1, values
     if view.mask is not None:
         weights *= view.mask[..., None]
-    found = differentiate(grey, frame, weights, by_view=False).parameters.sh[:, 0] / SH_C0
-    return np.maximum(found[:, 0], 0).astype(np.float64), np.maximum(found[:, 1], 0).astype(np.float64)
+    found = differentiate(grey, frame, weights, by_view=False).parameters.sh[:, 0, :2].T / SH_C0
+    return np.maximum(found, 0).astype(np.float64)
+
+
+def with_usual(parameters: Parameters, known: np.ndarray) -> Parameters:
+    """The same with how much photos differ at a splat as its red, and whether that is known as its green.
+    `known` (2, N): contributions to photos, and their sums with differences, see `by_splat`."""
+    shown, noted = known
+    colours = np.stack([noted / np.maximum(shown, 1e-12), shown > 0, np.zeros(len(shown))], axis=1)
+    return parameters._replace(sh=((colours - 0.5) / SH_C0)[:, None].astype(np.float32))
+
+
+def is_suspect(low: np.ndarray, usual: np.ndarray) -> bool:
+    """Whether a photo, which differs from the scene as a whole by (H, W) in low frequencies, differs by so
+    much more than is usual (H, W, 4) that a look at what others show is worth its time."""
+    strong = (low > SUSPECT * LEAST_DIFFERENCE) & (low_ratio(low, usual) > SUSPECT_RATIO)
+    return bool(strong.mean() >= LEAST_PART)
+
+
+def low_ratio(low: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    """(H, W): of a difference to what is usual, as `with_usual` is drawn (H, W, 4), and `USUAL`."""
+    red, green = np.moveaxis(mean_about(usual[..., :2].astype(np.float64)), -1, 0)
+    return low / (red / np.maximum(green, LEAST_KNOWN) + USUAL)
 
 
 def exposure_between(picture: np.ndarray, view: TrainView) -> np.ndarray:
@@ -229,6 +258,7 @@ def exposure_between(picture: np.ndarray, view: TrainView) -> np.ndarray:
     known = picture[..., 3] > LEAST_OPACITY
     if view.mask is not None:
         known &= view.mask
+    known[np.arange(len(known)) % FITTED_OF > 0], known[:, np.arange(known.shape[1]) % FITTED_OF > 0] = 0, 0
     found = np.tile((1.0, 0.0), (3, 1))
     if known.sum() < FEWEST_PIXELS:
         return found
@@ -243,6 +273,9 @@ def exposure_between(picture: np.ndarray, view: TrainView) -> np.ndarray:
 
 FEWEST_PIXELS = 100
 """From which exposures can be told."""
+
+FITTED_OF = 3
+"""Rows and columns of which one is looked at for that."""
 
 LEAST_GAIN = 0.5
 """Gains beyond which it is no exposure that differs."""
@@ -259,8 +292,7 @@ def contradicted(picture: np.ndarray, view: TrainView, fit: np.ndarray, usual: n
     show from its camera; `usual` (H, W, 4): in red how much they differ at the same places, in green how
     much of that is known."""
     low = np.abs(mean_about(difference(picture, view, fit))).mean(axis=2)
-    usual = mean_about(usual[..., :2].astype(np.float64))
-    ratio = low / (usual[..., 0] / np.maximum(usual[..., 1], LEAST_KNOWN) + USUAL)
+    ratio = low_ratio(low, usual)
     sure = mean_about(picture[..., 3].astype(np.float64)) > LEAST_OPACITY
     if view.mask is not None:
         sure &= view.mask
