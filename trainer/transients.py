@@ -166,7 +166,10 @@ def find_transients(
 ) -> list[np.ndarray]:
     """(h, w) bool for each photo, `COMPARED_SIDE` px and more along its longer side: where it shows something
     that the others contradict, by the scene as it is. `taken` (P,) bool: the photos that are trained on, of
-    which the scene tells."""
+    which the scene tells.
+
+    On one core 1.1 s for `fox` (33 photos, 16,700 splats), 1.6 for `mug` (51, 11,800), 4.5 for `stitch` (58,
+    20,400), nearly all photos of which are suspects, as a minute is short for it."""
     small = [
         view.smaller(max(round(max(view.camera.width, view.camera.height) / COMPARED_SIDE), 1))
         for view in views

@@ -186,8 +186,9 @@ def test_regions_are_made_larger_and_joined() -> None:
     apart[30, [5, 60]] = True
     assert closed(apart).sum() == 2
     assert joined(None, None) is None and joined([region], None) == [region]
-    (both, other) = joined([region, None], [~region, region]) or ()
-    assert both is not None and both.all() and other is region
+    parts = joined([region, None], [~region, region])
+    assert parts is not None and parts[1] is region
+    assert parts[0] is not None and parts[0].all()
 
 
 def test_processes_mask_what_most_have_found() -> None:
