@@ -176,7 +176,7 @@ def find_transients(
     ]
     regions = [np.zeros(view.pixels.shape[:2], np.bool_) for view in small]
     rows, usual = np.flatnonzero(taken), replace(settings, sh_degree=0, background=(0.0, 0.0, 0.0))
-    told = set(rows[:: -(-len(rows) // MOST_TOLD) or 1])
+    told = rows[:: -(-len(rows) // MOST_TOLD) or 1]
     workspace, fits, lows, differences = Workspace(), {}, {}, {}
     for row in rows:
         picture = draw_frame(parameters, small[row].camera, settings, workspace, threads=threads).image
@@ -196,7 +196,7 @@ def find_transients(
         if not is_suspect(lows[row].astype(np.float64), drawn):
             continue
         own = by_splat(parameters, view, usual, differences[row], workspace, threads)
-        others = known - own if row in told else known
+        others = known - own if row in told else known.copy()
         alone = own[0] > ALONE * (own[0] + others[0])
         others[:, others[0] <= LEAST_OTHERS * (own[0] + others[0])] = 0
         rest = Parameters(*(np.ascontiguousarray(array[~alone]) for array in parameters))

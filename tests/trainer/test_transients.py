@@ -158,6 +158,33 @@ def test_sums_by_splat_make_the_picture(views, start) -> None:
     assert noted.sum() == pytest.approx((opacity * values).sum(), rel=1e-3)
 
 
+def test_a_part_of_many_photos_says_what_is_usual(views, start, monkeypatch) -> None:
+    """Photos that do not are looked at all the same."""
+    spots = (4, 7, 13)
+    photos = [spotted(view) if i in spots else view for i, view in enumerate(views)]
+    trainer = after(make_trainer(photos, start, transients="off"), 400)
+    taken = np.ones(len(views), np.bool_)
+    given = trainer.splats.arrays, photos, taken, trainer.render_settings, 1
+    monkeypatch.setattr("splatview.trainer.transients.MOST_TOLD", 10)
+    usual: list[dict[str, np.ndarray]] = [{}, {}]
+
+    def noting(place: int):
+        def note(picture, view, fit, drawn):
+            usual[place][view.camera.name] = drawn.copy()
+            return contradicted(picture, view, fit, drawn)
+
+        monkeypatch.setattr("splatview.trainer.transients.contradicted", note)
+
+    noting(0)
+    found = find_transients(*given)
+    assert tuple(i for i, region in enumerate(found) if region.any()) == spots
+    noting(1)
+    calm = [photo if i in (4, 13) else views[i] for i, photo in enumerate(photos)]
+    find_transients(given[0], calm, *given[2:])
+    assert "view_7.png" in usual[0].keys() - usual[1].keys()
+    np.testing.assert_array_equal(usual[0]["view_13.png"], usual[1]["view_13.png"])
+
+
 def test_photos_that_are_left_out_say_nothing(views, start) -> None:
     photos = [spotted(view) if i == 3 else view for i, view in enumerate(views)]
     trainer = after(make_trainer(photos, start, transients="off"), 400)
