@@ -90,7 +90,7 @@ class Outliers:
         """Whether it is to be decided now, at this share of the run and after so many looks at each photo."""
         if self.mode == "off" or self.is_decided or len(self.names) < FEWEST_PHOTOS:
             return False
-        return DECIDED_AT <= progress < DECIDED_BY and rounds >= LEAST_ROUNDS
+        return is_time_to_compare(progress, rounds)
 
     def is_missed(self, progress: float) -> bool:
         """Whether it can no longer be decided: photos were looked at too seldom while it could have been."""
@@ -108,7 +108,7 @@ class Outliers:
         """(P,) float64, 1 for photos, one for each name, that disagree with the scene as it is, apart from
         all others; 0 else."""
         for row, view in enumerate(views):
-            small = view.smaller(max(round(max(view.camera.width, view.camera.height) / COMPARED_SIDE), 1))
+            small = compared_as(view)
             picture = draw_frame(parameters, small.camera, settings, workspace, threads=threads).image
             self.correlations[row] = correlation(picture, small)
         return apart(self.correlations).astype(np.float64)
@@ -164,6 +164,17 @@ class Outliers:
         if flags.dtype != np.bool_ or flags.shape != (1 + len(self.names),) or flags[1:].all():
             raise ValueError("its photos that are left out are not those of its photos")
         self.is_decided, self.left_out = bool(flags[0]), flags[1:].copy()
+
+
+def is_time_to_compare(progress: float, rounds: float) -> bool:
+    """Whether photos can be compared with the scene, at this share of the run and after so many looks at
+    each: there is one, and it has not learnt them by heart."""
+    return DECIDED_AT <= progress < DECIDED_BY and rounds >= LEAST_ROUNDS
+
+
+def compared_as(view: TrainView) -> TrainView:
+    """The photo in the size in which it is compared."""
+    return view.smaller(max(round(max(view.camera.width, view.camera.height) / COMPARED_SIDE), 1))
 
 
 MOST_NAMED = 5

@@ -24,13 +24,10 @@ from splatview.scene import RenderSettings
 from splatview.scene.sh import SH_C0
 from splatview.trainer.distributed import Group
 from splatview.trainer.exposure import least_absolute
-from splatview.trainer.outliers import COMPARED_SIDE, DECIDED_AT, DECIDED_BY, LEAST_ROUNDS, window_sums
+from splatview.trainer.outliers import FEWEST_PHOTOS, compared_as, is_time_to_compare, window_sums
 from splatview.trainer.views import TrainView
 
 Mode = Literal["auto", "off"]
-
-FEWEST_PHOTOS = 8
-"""Of fewer nobody could say which are the others."""
 
 RADIUS = 3
 """px of windows over which differences are means: edges that a scene has not learnt yet cancel out."""
@@ -98,9 +95,8 @@ class Transients:
 
     def is_due(self, progress: float, rounds: float) -> bool:
         """Whether it is to be decided now, at this share of the run and after so many looks at each photo."""
-        if self.mode == "off" or self.is_decided or len(self.names) < FEWEST_PHOTOS:
-            return False
-        return DECIDED_AT <= progress < DECIDED_BY and rounds >= LEAST_ROUNDS
+        open_yet = self.mode == "auto" and not self.is_decided and len(self.names) >= FEWEST_PHOTOS
+        return open_yet and is_time_to_compare(progress, rounds)
 
     def decide(self, regions: Sequence[np.ndarray]) -> None:
         """Masks these parts of the photos, (h, w) bool each; none where too many photos have some."""
@@ -164,16 +160,13 @@ def find_transients(
     settings: RenderSettings,
     threads: int | None = None,
 ) -> list[np.ndarray]:
-    """(h, w) bool for each photo, `COMPARED_SIDE` px and more along its longer side: where it shows something
-    that the others contradict, by the scene as it is. `taken` (P,) bool: the photos that are trained on, of
-    which the scene tells.
+    """(h, w) bool for each photo, as large as it is compared: where it shows something that the others
+    contradict, by the scene as it is. `taken` (P,) bool: the photos that are trained on, of which the scene
+    tells.
 
     On one core 1.1 s for `fox` (33 photos, 16,700 splats), 1.6 for `mug` (51, 11,800), 4.5 for `stitch` (58,
     20,400), nearly all photos of which are suspects, as a minute is short for it."""
-    small = [
-        view.smaller(max(round(max(view.camera.width, view.camera.height) / COMPARED_SIDE), 1))
-        for view in views
-    ]
+    small = [compared_as(view) for view in views]
     regions = [np.zeros(view.pixels.shape[:2], np.bool_) for view in small]
     rows, usual = np.flatnonzero(taken), replace(settings, sh_degree=0, background=(0.0, 0.0, 0.0))
     told = rows[:: -(-len(rows) // MOST_TOLD) or 1]
@@ -196,9 +189,9 @@ def find_transients(
         if not is_suspect(lows[row].astype(np.float64), drawn):
             continue
         own = by_splat(parameters, view, usual, differences[row], workspace, threads)
-        others = known - own if row in told else known.copy()
-        alone = own[0] > ALONE * (own[0] + others[0])
-        others[:, others[0] <= LEAST_OTHERS * (own[0] + others[0])] = 0
+        others = known - own if row in told else known
+        whole = own[0] + others[0]
+        alone, others = own[0] > ALONE * whole, others * (others[0] > LEAST_OTHERS * whole)
         rest = Parameters(*(np.ascontiguousarray(array[~alone]) for array in parameters))
         picture = draw_frame(rest, view.camera, settings, workspace, threads=threads).image
         rest = with_usual(rest, others[:, ~alone])

@@ -15,11 +15,11 @@ from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.distributed import Alone
 from splatview.trainer.effects import TRANSIENTS
+from splatview.trainer.outliers import FEWEST_PHOTOS
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.transients import (
-    FEWEST_PHOTOS,
     Transients,
     agreed,
     by_splat,
@@ -166,23 +166,8 @@ def test_a_part_of_many_photos_says_what_is_usual(views, start, monkeypatch) -> 
     taken = np.ones(len(views), np.bool_)
     given = trainer.splats.arrays, photos, taken, trainer.render_settings, 1
     monkeypatch.setattr("splatview.trainer.transients.MOST_TOLD", 10)
-    usual: list[dict[str, np.ndarray]] = [{}, {}]
-
-    def noting(place: int):
-        def note(picture, view, fit, drawn):
-            usual[place][view.camera.name] = drawn.copy()
-            return contradicted(picture, view, fit, drawn)
-
-        monkeypatch.setattr("splatview.trainer.transients.contradicted", note)
-
-    noting(0)
     found = find_transients(*given)
     assert tuple(i for i, region in enumerate(found) if region.any()) == spots
-    noting(1)
-    calm = [photo if i in (4, 13) else views[i] for i, photo in enumerate(photos)]
-    find_transients(given[0], calm, *given[2:])
-    assert "view_7.png" in usual[0].keys() - usual[1].keys()
-    np.testing.assert_array_equal(usual[0]["view_13.png"], usual[1]["view_13.png"])
 
 
 def test_photos_that_are_left_out_say_nothing(views, start) -> None:
@@ -230,18 +215,21 @@ def test_processes_mask_what_most_have_found() -> None:
     assert ours.tolist() == [[False, True, True]]
 
 
-def test_the_user_is_told_where(views, start, tmp_path: Path) -> None:
-    photos = [spotted(view) if i == 3 else view for i, view in enumerate(views)]
+def told(trainer: Trainer, folder: Path) -> tuple[list[str], TrainingRun]:
+    """Lines for the user about transients, once they are decided, and the run."""
     outputs = Outputs(
-        scene=tmp_path / "s.ply", checkpoint=tmp_path / "s.safetensors", metrics=None, pictures=tmp_path
+        scene=folder / "s.ply", checkpoint=folder / "s.safetensors", metrics=None, pictures=folder
     )
     effect, notes = Effect(name=TRANSIENTS, on=False, why="", saving=Saving()), []
-    run = TrainingRun(
-        make_trainer(photos, start), [], outputs, started=0.0, effects=(effect,), on_note=notes.append
-    )
-    while not run.trainer.transients.is_decided:
+    run = TrainingRun(trainer, [], outputs, started=0.0, effects=(effect,), on_note=notes.append)
+    while not trainer.transients.is_decided:
         run.step()
-    (line,) = [note for note in notes if TRANSIENTS in note]
+    return [note for note in notes if TRANSIENTS in note], run
+
+
+def test_the_user_is_told_where(views, start, tmp_path: Path) -> None:
+    photos = [spotted(view) if i == 3 else view for i, view in enumerate(views)]
+    (line,), run = told(make_trainer(photos, start), tmp_path)
     assert line.startswith("transients masked: 1 of 20 photos show something that others do not, in ")
     assert line.endswith("most of all view_3.png; --passing stay trains on them")
     assert run.effects[0].on and "view_3.png" in run.effects[0].why
@@ -250,16 +238,7 @@ def test_the_user_is_told_where(views, start, tmp_path: Path) -> None:
 def test_many_that_contradict_others_are_told_of(views, start, tmp_path: Path, monkeypatch) -> None:
     found = [np.full((40, 48), i % 3 == 0) for i in range(len(views))]
     monkeypatch.setattr("splatview.trainer.trainer.find_transients", lambda *given: found)
-    outputs = Outputs(
-        scene=tmp_path / "s.ply", checkpoint=tmp_path / "s.safetensors", metrics=None, pictures=tmp_path
-    )
-    effect, notes = Effect(name=TRANSIENTS, on=False, why="", saving=Saving()), []
-    run = TrainingRun(
-        make_trainer(views, start), [], outputs, started=0.0, effects=(effect,), on_note=notes.append
-    )
-    while not run.trainer.transients.is_decided:
-        run.step()
-    (line,) = [note for note in notes if TRANSIENTS in note]
+    (line,), run = told(make_trainer(views, start), tmp_path)
     assert "transients: none masked; 7 of 20 photos contradict others somewhere, too many to mask" in line
     assert "poses be wrong" in line and not run.effects[0].on and not run.trainer.views.in_part
 
