@@ -77,7 +77,9 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("hidden splats", stay={"least_visibility": 0.0}),
     *_rungs("splats of one photo", stay={"most_of_one": 1.0}),
     *_rungs("frozen splats", none={"few_views": 0}),
-    *_rungs("regularisers", whatever_the_loss={"full_reg_loss": 0.0}),
+    *_rungs(
+        "regularisers", whatever_the_loss={"full_reg_loss": 0.0}, however_faint={"full_reg_opacity": 0.0}
+    ),
     *_rungs("dropout", off={"dropout": 0.0}),
     *_rungs("elongation", free={"max_aspect": math.inf}),
     *_rungs("steps", as_many_as_fit={"iterations": None}),

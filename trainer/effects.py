@@ -77,6 +77,8 @@ COVERED = "weaker regularisers"
 
 EASED = "; eased to "
 
+FAINT = "; opacity weighs at most "
+
 TOLD = "; "
 
 Antialiased = Literal["auto", "on", "off"]
@@ -142,12 +144,15 @@ def capture_effects(
     )
 
 
-def with_easing(effects: tuple[Effect, ...], need: float) -> tuple[Effect, ...]:
-    """The same once the rules for few photos are in force by this share, 0 to 1: see `need_of_reg`."""
+def with_easing(effects: tuple[Effect, ...], need: float, faint: float = 1.0) -> tuple[Effect, ...]:
+    """The same once the rules for few photos are in force by the share `need`, 0 to 1, see `need_of_reg`, and
+    the weight of opacity by the share `faint` of that, see `ease_of_faint`."""
 
     def eased(effect: Effect) -> Effect:
-        why = effect.why.split(EASED)[0]
-        return replace(effect, why=why if need >= 1 else f"{why}{EASED}{need:.0%}, as the scene meets them")
+        why = effect.why.split(EASED)[0].split(FAINT)[0]
+        why += f"{EASED}{need:.0%}, as the scene meets them" if need < 1 else ""
+        why += f"{FAINT}{faint:.0%} of that, as half of the splats are faint" if faint < 1 else ""
+        return replace(effect, why=why)
 
     return tuple(eased(one) if one.name == FEW_PHOTOS and one.on else one for one in effects)
 
@@ -250,7 +255,9 @@ def with_scenes(
             return replace(effect, on=taught, why=why)
         if effect.name == FEW_PHOTOS and taught and effect.on:
             return replace(
-                effect, on=False, why=f"{effect.why.split(EASED)[0]}{TOLD}the last scene needs none"
+                effect,
+                on=False,
+                why=f"{effect.why.split(EASED)[0].split(FAINT)[0]}{TOLD}the last scene needs none",
             )
         return effect
 

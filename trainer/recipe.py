@@ -116,6 +116,29 @@ Dropped: twice as much where photos are transparent, which tell what is empty. C
 near` -0.5 and -0.4. Dropped too: in proportion to the square, 38.19 on `guitar RGBA 24`.
 """
 
+FULL_REG_OPACITY = 0.06
+"""Median opacity of the splats, below which the weight of opacity goes down, see
+`strategies.mcmc.ease_of_faint`: where texture is weak, as of a table's wood, the photo loss has little
+against that weight, so that splats are as faint as copies may be (`strategies.mcmc.LEAST_SHARED`), die, and
+leave a smooth table, the more so the longer a run is. As a minute's number of splats grows, the median comes
+to 0.03 or 0.04 on `mug`, `beer`, `coke`, `desk` and `fruit`, to 0.06 to 0.08 on `cat`, `miku` and `field`,
+and stays at 0.09 to 0.14 on `gum`, `fox`, `skull RGBA 100` and `games`.
+
+Chosen on split 0 after three minutes of `mug`, 29.59 dB without and 30.34 with it, `beer` 24.45 and 25.03,
+`desk` 33.40 and 33.79, `gum` 27.11 and 27.09 (faint.json has what judged it). Dropped: a weight of 0.002
+(0.003 for `beer`) whatever the opacities, 30.51 dB on `mug` and 25.54 on `beer`, but 26.53 on `gum` and 30.70
+in place of 30.93 on `miku`; that of opacity alone makes it, 30.52 on `mug` and 29.71 by that of scale alone.
+Dropped on `mug`, before that: colours by direction that change more slowly, +0.2 dB, and several shorter
+scenes in its three minutes, 28.74."""
+
+
+def automatic_full_reg_opacity(photos: int) -> float:
+    """A sensible `full_reg_opacity` for so many photos: few ones need the weight of opacity, however faint
+    splats are. A minute of split 0 of `queen` (15 photos) has 19.99 dB without it and 19.29 with it, `miku 20
+    far` (13) 23.57 and 23.17, `beach` (12) 18.70 and 18.59."""
+    return FULL_REG_OPACITY if photos >= FEWEST_FOR_FAST else 0.0
+
+
 MET_OF_OBJECTS = 0.035
 """Of the share of the photos' pixels that show an object: the loss below which these are met well. The loss
 is a mean over all pixels, most of which are empty and right at once, so that `FULL_REG_LOSS` tells nothing.

@@ -232,7 +232,7 @@ class TrainingRun:
         self._effects_told: tuple[Effect, ...] = ()
         self.memory = memory
         """What the run takes, as it was stated."""
-        self._need = 1.0
+        self._needs = (1.0, 1.0)
         self._easing_told = False
         """Share of the rules for few photos that is in force, in quarters."""
         self.evaluation: Evaluation | None = None
@@ -498,13 +498,15 @@ class TrainingRun:
             self.effects = with_scenes(self.effects, len(trainer.members), taught=False, edited=True)
 
     def _tell_easing(self) -> None:
-        """Notes by what share the rules for few photos are in force, where that has changed by a quarter.
+        """Notes by what shares the rules for few photos are in force, where one has changed by a quarter.
         Said the first time alone: a loss that wavers may cross such a share many times."""
-        need = math.ceil(4 * self.trainer.need_of_reg) / 4
-        if need == self._need:
+        needs = tuple(
+            math.ceil(4 * share) / 4 for share in (self.trainer.need_of_reg, self.trainer.ease_of_faint)
+        )
+        if needs == self._needs:
             return
-        self._need = need
-        self.effects = with_easing(self.effects, need)
+        self._needs = needs
+        self.effects = with_easing(self.effects, *needs)
         line = next((one.why for one in self.effects if one.name == FEW_PHOTOS and one.in_force), "")
         if line and not self._easing_told:
             self._easing_told = True

@@ -198,6 +198,8 @@ class TrainSettings(StrategySettings):
             raise ValueError(f"shorter must be steps and splats above 0, got {self.shorter}")
         if not 0 <= self.withheld <= 0.5:
             raise ValueError(f"withheld must be 0 to 0.5, got {self.withheld}")
+        if not 0 <= self.full_reg_opacity < 1:
+            raise ValueError(f"full_reg_opacity must be at least 0 and below 1, got {self.full_reg_opacity}")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"dropout must be at least 0 and below 1, got {self.dropout}")
         if self.strategy not in STRATEGIES:
@@ -267,6 +269,7 @@ WITHOUT_WORD = {
     "alpha_weight": 0.0,
     "backdrop": "off",
     "full_reg_loss": 0.0,
+    "full_reg_opacity": 0.0,
     "sky": "off",
     "surround": None,
     "outliers": "off",

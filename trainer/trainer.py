@@ -37,7 +37,7 @@ from splatview.trainer.shading import Shadings
 from splatview.trainer.sky import Sky, hold, restore
 from splatview.trainer.splats import Splats, copied
 from splatview.trainer.strategies import STRATEGIES, Strategy
-from splatview.trainer.strategies.mcmc import need_of_reg
+from splatview.trainer.strategies.mcmc import ease_of_faint, need_of_reg
 from splatview.trainer.strategies.ops import State, raise_sh_degree
 from splatview.trainer.transients import Transients, agreed, find_transients
 from splatview.trainer.views import TrainView, TrainViews, joined
@@ -375,6 +375,11 @@ class Trainer(Editing):
     def need_of_reg(self) -> float:
         """See `strategies.mcmc.need_of_reg`."""
         return need_of_reg(self.state.get("photo_loss", 0.0), self.settings.full_reg_loss)
+
+    @property
+    def ease_of_faint(self) -> float:
+        """See `strategies.mcmc.ease_of_faint`."""
+        return ease_of_faint(self.state.get("median_opacity", math.inf), self.settings.full_reg_opacity)
 
     @property
     def _rounds(self) -> float:

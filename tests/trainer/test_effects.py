@@ -246,6 +246,29 @@ def test_rules_for_few_photos_are_told_and_so_is_their_easing(make_trainer, tmp_
     assert with_easing(training_run.effects, 1.0)[-1] == effects[-1], "back to all of it"
 
 
+def test_faint_splats_are_told(make_trainer, tmp_path):
+    ring = capture([2.0] * 5)
+    trainer = make_trainer(iterations=30, opacity_reg=0.1, scale_reg=0.1, full_reg_opacity=0.06)
+    trainer.state["median_opacity"] = 0.05
+    outputs = Outputs(
+        scene=tmp_path / "s.ply",
+        checkpoint=tmp_path / "s.safetensors",
+        metrics=None,
+        pictures=tmp_path / "p",
+    )
+    effects = capture_effects(ring, trainer.settings, "auto")
+    notes: list[str] = []
+    training_run = TrainingRun(
+        trainer, [], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
+    )
+    assert training_run.run()
+    (note,) = (note for note in notes if FEW_PHOTOS in note)
+    assert note.endswith("; opacity weighs at most 25% of that, as half of the splats are faint")
+    both = with_easing(training_run.effects, 0.5, 0.25)[-1].why
+    assert "; eased to 50%, as the scene meets them; opacity weighs at most 25%" in both
+    assert with_easing(with_easing(effects, 0.5, 0.25), 1.0)[-1] == effects[-1]
+
+
 def test_what_photos_show_of_their_pixels_is_told() -> None:
     ring = capture([2.0] * 20)  # 19 to train on
 

@@ -11,7 +11,7 @@ import pytest
 
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.plugin import LossPlugin
-from splatview.trainer.strategies.mcmc import LEAST_REG, eased, need_of_reg
+from splatview.trainer.strategies.mcmc import LEAST_EASED, LEAST_REG, ease_of_faint, eased, need_of_reg
 from splatview.trainer.views import TrainView, TrainViews
 
 
@@ -29,6 +29,22 @@ def test_weights_keep_a_floor() -> None:
     assert eased(0.1, 0.001) == LEAST_REG
     assert eased(LEAST_REG / 2, 0.001) == LEAST_REG / 2
     assert eased(0.0, 0.5) == 0
+
+
+@pytest.mark.parametrize(
+    ("median", "full", "factor"),
+    [(0.03, 0.06, LEAST_EASED), (0.06, 0.06, 1), (0.2, 0.06, 1), (0, 0.06, LEAST_EASED), (0.03, 0, 1)],
+)
+def test_faint_splats_ease_the_weight_of_opacity(median: float, full: float, factor: float) -> None:
+    assert ease_of_faint(median, full) == factor
+
+
+def test_the_weight_of_opacity_falls_as_splats_become_fainter() -> None:
+    medians = np.linspace(0.03, 0.07, 41)
+    factors = np.array([ease_of_faint(median, 0.06) for median in medians])
+    assert (np.diff(factors) >= 0).all() and factors[0] == LEAST_EASED and factors[-1] == 1
+    assert 0.1 < ease_of_faint(0.05, 0.06) < 0.5
+    assert ease_of_faint(math.nan, 0.06) == 1
 
 
 def regs(trainer) -> list[float]:
@@ -56,6 +72,25 @@ def test_a_run_that_meets_its_photos_is_regularised_less(make_trainer) -> None:
     assert regs(full) == pytest.approx([0.1, 0.08]) and full.need_of_reg == 1
 
 
+def test_only_opacity_is_eased_where_splats_are_faint(make_trainer) -> None:
+    trainer = make_trainer(**FEW, full_reg_opacity=0.06)
+    trainer.step(0.0)
+    assert regs(trainer) == pytest.approx([0.1, 0.08])  # before a refinement nobody knows
+    trainer.state["median_opacity"] = 0.05
+    trainer.step(0.0)
+    assert regs(trainer) == pytest.approx([0.1 * ease_of_faint(0.05, 0.06), 0.08])
+
+
+def test_refinement_notes_the_median_opacity_of_the_living(make_trainer) -> None:
+    trainer = make_trainer(**FEW, full_reg_opacity=0.06)
+    logits = trainer.splats.arrays.opacity_logits
+    logits[:] = np.log(0.3 / 0.7)
+    logits[: len(logits) // 3] = -9  # the dead, which are moved
+    rng = np.random.default_rng(0)
+    trainer.strategy.refine(trainer.splats, trainer.optimizer, trainer.state, 0.3, rng)
+    assert trainer.state["median_opacity"] == pytest.approx(0.3)
+
+
 def test_few_splats_are_not_pressed_the_harder(make_trainer) -> None:
     """What is added to each splat's gradient: the weight of the mean over their number."""
 
@@ -78,7 +113,8 @@ def test_a_loss_of_the_users_says_nothing_of_the_photos(make_trainer) -> None:
 
 
 def test_a_resumed_run_is_regularised_alike(make_trainer, tmp_path: Path) -> None:
-    settings = {**FEW, "full_reg_loss": 0.3, "iterations": 60}
+    refined = {"refine_from": 0.0, "refine_every": 0.1, "least_refine_steps": 5, "full_reg_opacity": 0.9}
+    settings = {**FEW, **refined, "full_reg_loss": 0.3, "iterations": 60}
     whole = make_trainer(**settings)
     for step in range(60):
         if step == 30:
@@ -89,6 +125,7 @@ def test_a_resumed_run_is_regularised_alike(make_trainer, tmp_path: Path) -> Non
     while not resumed.done:
         resumed.step(0.0)
     assert resumed.need_of_reg == whole.need_of_reg < 1
+    assert resumed.state["median_opacity"] == whole.state["median_opacity"] < 0.9
     for ours, theirs in zip(resumed.splats.arrays, whole.splats.arrays, strict=True):
         np.testing.assert_array_equal(ours, theirs)
 

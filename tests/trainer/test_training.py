@@ -37,6 +37,7 @@ from splatview.trainer.recipe import (
     STEPS_OF_A_MINUTE,
     automatic_dropout,
     automatic_far_from,
+    automatic_full_reg_opacity,
     automatic_limit,
     automatic_max_aspect,
     automatic_regularisation,
@@ -396,6 +397,7 @@ def test_few_photos_pull_harder_and_drop_more() -> None:
     assert automatic_sh_divisor(1000, SH_STEPS / 2) == many < automatic_sh_divisor(1000, 3 * SH_STEPS) < 20
     assert automatic_sh_divisor(40, 30 * SH_STEPS) == 20, "the paper's is the most, however long the run"
     assert 1 < automatic_max_aspect(13) < automatic_max_aspect(84)
+    assert automatic_full_reg_opacity(13) == 0 < automatic_full_reg_opacity(84) < 1
     assert automatic_far_from(FEWEST_FOR_FAST, True) == FAR_FROM
     assert automatic_far_from(FEWEST_FOR_FAST - 1, True) == automatic_far_from(100, False) == math.inf
     few = [automatic_steps(photos) or 0 for photos in (1, 13, 40)]

@@ -97,6 +97,19 @@ def need_of_reg(photo_loss: float, full: float) -> float:
     return photo_loss / full if 0 < photo_loss < full else 1.0
 
 
+EASE_POWER, LEAST_EASED = 8, 0.05
+"""How steeply the weight of opacity falls with the median opacity below `full_reg_opacity`, and how far: so
+that it comes to rest where the median is a little below."""
+
+
+def ease_of_faint(median_opacity: float, full: float) -> float:
+    """Factor of the weight of opacity where half of the splats are fainter than `median_opacity`, see
+    `MCMCSettings.full_reg_opacity`; 1 where that is not known, or `full` is 0."""
+    if not 0 <= median_opacity < full:
+        return 1.0
+    return max((median_opacity / full) ** EASE_POWER, LEAST_EASED)
+
+
 def eased(weight: float, need: float) -> float:
     """A regulariser's weight by need, but not below `LEAST_REG` or the weight itself, the lesser of both."""
     return max(need * weight, min(weight, LEAST_REG))
@@ -118,6 +131,9 @@ class MCMCSettings(DensitySettings):
     """Photo loss from which on both weights are full, as dropout and the limit to needles are with every
     strategy; below they are less in proportion, but not below `LEAST_REG`. 0: always full. See
     `recipe.FULL_REG_LOSS`."""
+    full_reg_opacity: float = 0.0
+    """mcmc: median opacity from which on the weight of opacity is full; while half of the splats are fainter,
+    it is less. 0: always full. See `recipe.FULL_REG_OPACITY`."""
     reg_end: float = 0.1
     """mcmc: factor of both weights at the end of the run, reached exponentially. Adam moves what only a
     regulariser moves at full speed: at constant strength a run of 67,000 steps on 13 photos ended with a
@@ -151,7 +167,9 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         counted = max(len(splats), LEAST_COUNTED * settings.max_splats)
         factor = settings.reg_end**progress * len(splats) / counted
         needed = need_of_reg(state.get("photo_loss", 0.0), settings.full_reg_loss)
-        optimizer.set_options("opacity_logits", reg=factor * eased(settings.opacity_reg, needed))
+        weight = eased(settings.opacity_reg, needed)
+        weight *= ease_of_faint(state.get("median_opacity", math.inf), settings.full_reg_opacity)
+        optimizer.set_options("opacity_logits", reg=factor * weight)
         optimizer.set_options(
             "log_scales",
             reg=factor * eased(settings.scale_reg, needed) / extent,
@@ -192,6 +210,8 @@ class MCMCStrategy(Strategy[MCMCSettings]):
         parameters = splats.arrays
         opacities = opacities_of(parameters)
         living = (opacities > DEAD) & ~invalid_splats(parameters)
+        if living.any():
+            state["median_opacity"] = float(np.median(opacities[living]))
         dead = np.flatnonzero(~living)
         # In regions without growth splats may die and move away, but nothing comes.
         growing = may_grow(state, self.settings.no_growth, parameters.means)
