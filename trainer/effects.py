@@ -77,7 +77,7 @@ COVERED = "weaker regularisers"
 
 EASED = "; eased to "
 
-FAINT = "; opacity weighs at most "
+FAINT = "; opacity weighs "
 
 TOLD = "; "
 
@@ -150,11 +150,11 @@ def with_easing(effects: tuple[Effect, ...], need: float, faint: float = 1.0) ->
 
     def eased(effect: Effect) -> Effect:
         why = effect.why.split(EASED)[0].split(FAINT)[0]
-        why += f"{EASED}{need:.0%}, as the scene meets them" if need < 1 else ""
-        why += f"{FAINT}{faint:.0%} of that, as half of the splats are faint" if faint < 1 else ""
+        why += f"{EASED}{need:.0%}, as the scene meets them" if need < 1 and effect.on else ""
+        why += f"{FAINT}{faint:.0%} as much or less, as half of the splats are faint" if faint < 1 else ""
         return replace(effect, why=why)
 
-    return tuple(eased(one) if one.name == FEW_PHOTOS and one.on else one for one in effects)
+    return tuple(eased(one) if one.name == FEW_PHOTOS else one for one in effects)
 
 
 def with_exposure(effects: tuple[Effect, ...], exposures: Exposures) -> tuple[Effect, ...]:

@@ -507,7 +507,8 @@ class TrainingRun:
             return
         self._needs = needs
         self.effects = with_easing(self.effects, *needs)
-        line = next((one.why for one in self.effects if one.name == FEW_PHOTOS and one.in_force), "")
+        told = (one.why for one in self.effects if one.name == FEW_PHOTOS and (one.in_force or needs[1] < 1))
+        line = next(told, "")
         if line and not self._easing_told:
             self._easing_told = True
             self.on_note(f"{FEW_PHOTOS}: {line}")
