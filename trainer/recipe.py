@@ -124,18 +124,19 @@ leave a smooth table, the more so the longer a run is. As a minute's number of s
 to 0.03 or 0.04 on `mug`, `beer`, `coke`, `desk` and `fruit`, to 0.06 to 0.08 on `cat`, `miku` and `field`,
 and stays at 0.09 to 0.14 on `gum`, `fox`, `skull RGBA 100` and `games`.
 
-Chosen on split 0 after three minutes of `mug`, 29.59 dB without and 30.34 with it, `beer` 24.45 and 25.03,
-`desk` 33.40 and 33.79, `gum` 27.11 and 27.09 (faint.json has what judged it). Dropped: a weight of 0.002
-(0.003 for `beer`) whatever the opacities, 30.51 dB on `mug` and 25.54 on `beer`, but 26.53 on `gum` and 30.70
-in place of 30.93 on `miku`; that of opacity alone makes it, 30.52 on `mug` and 29.71 by that of scale alone.
-Dropped on `mug`, before that: colours by direction that change more slowly, +0.2 dB, and several shorter
-scenes in its three minutes, 28.74."""
+Chosen on split 0 after three minutes of `mug`, 29.59 dB without and 30.13 with it, and `fruit` 28.73 and
+28.63 with an SSIM of 0.765 and 0.769 (faint.json). Dropped: down to a twentieth of the weight, in place of a
+third, 30.34 on `mug`, 25.03 in place of 24.45 on `beer`, but 28.41 on `fruit` and 37.32 of 37.43 on `coke`; a
+weight of 0.002 (0.003 for `beer`) whatever the opacities, 30.51 dB on `mug` and 25.54 on `beer`, but 26.53 of
+27.11 on `gum` and 30.70 of 30.93 on `miku`. That of opacity alone makes it, 30.52 on `mug`, and 29.71 by that
+of scale alone. Dropped on `mug`, before that: colours by direction that change more slowly, +0.2 dB, and
+several shorter scenes in its three minutes, 28.74."""
 
 
 def automatic_full_reg_opacity(photos: int) -> float:
     """A sensible `full_reg_opacity` for so many photos: few ones need the weight of opacity, however faint
-    splats are. A minute of split 0 of `queen` (15 photos) has 19.99 dB without it and 19.29 with it, `miku 20
-    far` (13) 23.57 and 23.17, `beach` (12) 18.70 and 18.59."""
+    splats are. A minute of split 0 of `queen` (15 photos) has 19.99 dB without it and 19.29 with it (down to
+    a twentieth), `miku 20 far` (13) 23.57 and 23.17, `beach` (12) 18.70 and 18.59."""
     return FULL_REG_OPACITY if photos >= FEWEST_FOR_FAST else 0.0
 
 

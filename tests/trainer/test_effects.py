@@ -265,7 +265,7 @@ def test_faint_splats_are_told(make_trainer, tmp_path, weight):
     )
     assert training_run.run()
     (note,) = (note for note in notes if FEW_PHOTOS in note)
-    assert note.endswith("; opacity weighs 25% as much or less, as half of the splats are faint")
+    assert note.endswith("; opacity weighs 50% as much or less, as half of the splats are faint")
     eased = "; eased to 50%, as the scene meets them" if weight > LEAST_REG else ""
     both = with_easing(training_run.effects, 0.5, 0.25)[-1].why
     assert both.startswith(f"{effects[-1].why}{eased}; opacity weighs 25%")
