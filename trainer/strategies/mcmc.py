@@ -99,8 +99,7 @@ def need_of_reg(photo_loss: float, full: float) -> float:
 
 EASE_POWER, LEAST_EASED = 8, 1 / 3
 """How steeply the weight of opacity falls with the median opacity below `full_reg_opacity`, and how far: so
-that it comes to rest where the median is a little below. For 0.05 as the second see `recipe.FULL_REG_OPACITY`.
-"""
+that it comes to rest where the median is a little below. See `recipe.FULL_REG_OPACITY`."""
 
 
 def ease_of_faint(median_opacity: float, full: float) -> float:
