@@ -220,6 +220,19 @@ def test_files_say_how_their_scene_was_trained(make_trainer, blur):
     assert antialiasing(make_trainer(iterations=10).snapshot().comments)[:2] == (False, 0.3)
 
 
+def run_that_tells(trainer, effects, folder) -> tuple[TrainingRun, list[str]]:
+    """A whole run with these effects, and what it has noted."""
+    outputs = Outputs(
+        scene=folder / "s.ply", checkpoint=folder / "s.safetensors", metrics=None, pictures=folder / "p"
+    )
+    notes: list[str] = []
+    training_run = TrainingRun(
+        trainer, [], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
+    )
+    assert training_run.run()
+    return training_run, notes
+
+
 def test_rules_for_few_photos_are_told_and_so_is_their_easing(make_trainer, tmp_path):
     ring = capture([2.0] * 5)
     on, why = told(ring, dropout=0.2, max_aspect=6.0, opacity_reg=0.1, scale_reg=0.05)[FEW_PHOTOS]
@@ -228,18 +241,8 @@ def test_rules_for_few_photos_are_told_and_so_is_their_easing(make_trainer, tmp_
     assert not told(ring)[FEW_PHOTOS][0]
 
     trainer = make_trainer(iterations=30, dropout=0.2, full_reg_loss=10.0)
-    outputs = Outputs(
-        scene=tmp_path / "s.ply",
-        checkpoint=tmp_path / "s.safetensors",
-        metrics=None,
-        pictures=tmp_path / "p",
-    )
     effects = capture_effects(ring, trainer.settings, "auto")
-    notes: list[str] = []
-    training_run = TrainingRun(
-        trainer, [], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
-    )
-    assert training_run.run()
+    training_run, notes = run_that_tells(trainer, effects, tmp_path)
     assert 0 < trainer.need_of_reg <= 0.25, "photos are met far better than asked"
     (note,) = (note for note in notes if FEW_PHOTOS in note)
     assert note.endswith("; eased to 25%, as the scene meets them")
@@ -252,18 +255,8 @@ def test_faint_splats_are_told(make_trainer, tmp_path, weight):
     ring = capture([2.0] * 5)
     trainer = make_trainer(iterations=30, opacity_reg=weight, scale_reg=weight, full_reg_opacity=0.06)
     trainer.state["median_opacity"] = 0.05
-    outputs = Outputs(
-        scene=tmp_path / "s.ply",
-        checkpoint=tmp_path / "s.safetensors",
-        metrics=None,
-        pictures=tmp_path / "p",
-    )
     effects = capture_effects(ring, trainer.settings, "auto")
-    notes: list[str] = []
-    training_run = TrainingRun(
-        trainer, [], outputs, started=0.0, eval_every=100, effects=effects, on_note=notes.append
-    )
-    assert training_run.run()
+    training_run, notes = run_that_tells(trainer, effects, tmp_path)
     (note,) = (note for note in notes if FEW_PHOTOS in note)
     assert note.endswith("; opacity weighs 50% as much or less, as half of the splats are faint")
     eased = "; eased to 50%, as the scene meets them" if weight > LEAST_REG else ""
