@@ -148,8 +148,9 @@ def append(splats: Splats, optimizer: SelectiveAdam, state: State, new: Paramete
 
     Dropped, where splats are shared: squared gradients that go on from those of the splat a copy was made of,
     in whole or by a tenth of them, so that a copy's first hundred steps are no longer than others. A minute
-    of split 0 (capped.json): `mug` 29.73, 29.16 and 29.70 dB, `miku` 30.47, 29.63 and 30.07, `skull RGBA 100`
-    32.83, 32.15 and 32.61.
+    of split 0, one run each (capped.json): `mug` 29.73, 29.16 and 29.70 dB, `miku` 30.50, 29.63 and 30.07,
+    `skull RGBA 100` 32.83, 32.15 and 32.61; `gum` 24.90, 24.80 and 25.21, the first with
+    a photo left out.
 
     Dropped: to sort splats along a Z-curve after every 300 or 500 steps. A picture and its gradients of
     35,000 splats that `banana` trained take 7 % less in that order, of 100,000 synthetic ones 5 %; but 2,000
