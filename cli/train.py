@@ -327,7 +327,7 @@ def make_parser() -> Parser:
         "--batch",
         type=count,
         metavar="B",
-        help="photos a step (default: 1, or 2 where there is time for it, or one for each process)",
+        help="photos a step (default: 1, or up to 4 where there is time for it, or one for each process)",
     )
     group.add_argument(
         "--coarse",

@@ -55,7 +55,7 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_capture,
 )
-from splatview.trainer.photo_size import SizeChoice, automatic_batch
+from splatview.trainer.photo_size import SizeChoice, automatic_batch, automatic_growth_batch
 from splatview.trainer.recipe import LEAST_LIMIT, MEMBERS, automatic_steps
 from splatview.trainer.run import Outputs
 from splatview.trainer.settings import TrainSettings
@@ -206,7 +206,10 @@ def _prepare(
         stereo = checkpoint is None and begins_by_stereo(start, points=points, pixels=pixels)
         # As many photos a step as there may be: where photos are few, there are more steps instead.
         timed = options.minutes if options.iterations is None else None
-        most = batch or automatic_batch(timed, None, machine.threads)
+        most = batch or max(
+            automatic_batch(timed, None, machine.threads),
+            automatic_growth_batch(timed, None, machine.threads),
+        )
         more = {"machine": machine, "batch": most, "stereo": stereo, "window": window}
         if checkpoint is not None:
             more["ensemble"] = checkpoint.settings.ensemble
@@ -433,6 +436,7 @@ def _new_trainer(
         threads=cores,
         start=options.start or "auto",
         **({} if batch is None else {"batch": batch}),
+        **({} if loss is None else {"growth_batch": 1}),  # other losses are no measure of it
         **({} if options.coarse is None else {"resolution": _resolution(options.coarse)}),
         **({} if options.background in (None, "auto") else {"background": options.background}),
     )

@@ -212,7 +212,9 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
     centre = np.array(run.get("centre", (0, 0, 0)), np.float64)
     if centre.shape != (3,) or not np.isfinite(centre).all():
         raise ValueError(f"its centre must be 3 finite numbers, not {centre}")
-    counters = dict(run["counters"])
+    settings, counters = from_recorded(run["settings"]), dict(run["counters"])
+    # Older files have no word about it, as all steps looked at as many.
+    counters.setdefault("photos", counters["iteration"] * settings.batch)
     state: dict[str, Any] = {"refined_at": int(counters.pop("refined_at", 0))}
     state["refined_progress"] = float(counters.pop("refined_progress", 0.0))
     ours = {theirs: name for name, theirs in STATE_NAMES.items()}
@@ -225,7 +227,7 @@ def _checked(run: dict[str, Any], arrays: dict[str, np.ndarray]) -> Checkpoint:
     for place in {name.split(".")[0] for name in scenes if "." in name}:
         check_parameters(**{name: scenes[f"{place}.{name}"] for name in Parameters._fields})
     return Checkpoint(
-        settings=from_recorded(run["settings"]),
+        settings=settings,
         counters=Counters(**counters),
         extent=float(run["extent"]),
         centre=centre,

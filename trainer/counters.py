@@ -39,6 +39,8 @@ class Counters:
     """Where a run stands."""
 
     iteration: int = 0
+    photos: int = 0
+    """Photos looked at, of all steps."""
     seconds: float = 0.0
     """Wall-clock time since the run began, pauses between resumed parts left out."""
     prepared: float = 0.0

@@ -28,7 +28,7 @@ from splatview.trainer.exposure import DECIDED_BY, Exposures
 from splatview.trainer.free_space import FEW_OF, LOOK_STEPS, MAX_SIZE, MAX_SIZE_OF_OBJECTS
 from splatview.trainer.outliers import DECIDED_BY as OUTLIERS_DECIDED_BY
 from splatview.trainer.outliers import FEWEST_PHOTOS, Outliers
-from splatview.trainer.recipe import automatic_regularisation
+from splatview.trainer.recipe import GROWTH_BATCH_FROM, automatic_regularisation
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.shading import Shadings
 from splatview.trainer.sky import Sky
@@ -72,6 +72,8 @@ BLOCKS = "withheld blocks"
 SCENES = "several scenes"
 
 FEW_PHOTOS = "rules for few photos"
+
+MORE_PHOTOS = "more photos a step"
 
 COVERED = "weaker regularisers"
 
@@ -138,6 +140,7 @@ def capture_effects(
         _surround(settings),
         _longest(settings),
         _covered(len(capture.train), settings, covered),
+        _more_photos(settings),
         _blocks(settings),
         _scenes(settings),
         _few_photos(len(capture.train), settings),
@@ -181,6 +184,18 @@ def with_shading(effects: tuple[Effect, ...], shadings: Shadings) -> tuple[Effec
         if effect.name == SHADING and shadings.mode == "auto"
         else effect
         for effect in effects
+    )
+
+
+def with_more_photos(
+    effects: tuple[Effect, ...], photos: int, settings: TrainSettings, loss: float
+) -> tuple[Effect, ...]:
+    """The same once it is decided that steps take so many photos while splats grow, by a photo loss of
+    `loss`."""
+    on, why = photos > settings.batch, f"photos are met with a loss of {loss:.3f}"
+    why = f"{photos} while splats grow, as {why}" if on else f"{settings.batch} all along, as {why}"
+    return tuple(
+        replace(effect, on=on, why=why) if effect.name == MORE_PHOTOS else effect for effect in effects
     )
 
 
@@ -277,6 +292,18 @@ def _scenes(settings: TrainSettings) -> Effect:
         why = "one is trained to the end of the run"
     saving = Saving(what="as many steps again for each, and pictures of all of them")
     return Effect(name=SCENES, on=settings.trains_several, why=why, saving=saving)
+
+
+def _more_photos(settings: TrainSettings) -> Effect:
+    photos, usual = settings.growth_batch, settings.batch
+    why = (
+        f"{photos} while splats grow, if after {GROWTH_BATCH_FROM:.0%} of the run photos are met with a loss"
+        f" above {settings.growth_loss:g}"
+    )
+    if photos <= usual:
+        why = f"{usual} all along: photos are few, or of an object, or time is short, or as asked for"
+    saving = Saving(what=f"{photos - usual} more photos in each step") if photos > usual else Saving()
+    return Effect(name=MORE_PHOTOS, on=False, why=why, saving=saving)
 
 
 def _blocks(settings: TrainSettings) -> Effect:

@@ -168,7 +168,9 @@ class EnsembleTrainer(Trainer):
             self._put(self.finished.arrays, self.finished.ids, self.finished_sky)
             self.finished = self.taught = None
             shorter = self.settings.shorter if self.is_short else None
-            self.first = self.counters.iteration - (shorter[0] if shorter else self.settings.iterations or 0)
+            steps = shorter[0] if shorter else self.settings.iterations or 0
+            self.first = self.counters.iteration - steps
+            self.first_photo = self.counters.photos - steps * self.settings.batch
         elif not self.members:  # an edit of the first one, which takes its time
             self._take(short=False)
 
@@ -208,6 +210,7 @@ class EnsembleTrainer(Trainer):
             self._teach()
             super().change(**{name: value for name, value in OF_STUDENT.items() if name not in self.asked})
         self.first, self.begun = self.counters.iteration, self.counters.seconds
+        self.first_photo = self.counters.photos
         ids = self.splats.new_ids(len(self.initial.means))
         self._put(copied(self.initial), ids, self.initial_sky)
         self.resolution, self.passed = ProgressiveResolution(self.views), None
@@ -293,6 +296,7 @@ class EnsembleTrainer(Trainer):
         )
         arrays = {"numbers": np.array(numbers, np.float64)}
         arrays |= {"sky": self.initial_sky, "finished_sky": self.finished_sky}
+        arrays["first_photo"] = np.array([self.first_photo], np.float64)
         for place, scene in enumerate((self.initial, *self.members)):
             arrays |= {f"{place}.{name}": np.ascontiguousarray(a) for name, a in scene._asdict().items()}
         return arrays
@@ -309,6 +313,9 @@ class EnsembleTrainer(Trainer):
             Parameters(*(state[f"{place}.{name}"] for name in Parameters._fields)) for place in range(count)
         ]
         self.first, self.is_last = int(first), bool(is_last)
+        # Older files have no word about it, as all steps looked at as many.
+        photos = state.get("first_photo", np.array([self.first * self.settings.batch]))
+        self.first_photo = int(photos[0])
         self.optimizer.steps = self.counters.iteration - self.first
         self.initial, self.members = scenes[0], scenes[1:]
         self.initial_sky, self.finished_sky = state["sky"], state["finished_sky"]

@@ -116,6 +116,10 @@ Dropped: twice as much where photos are transparent, which tell what is empty. C
 near` -0.5 and -0.4. Dropped too: in proportion to the square, 38.19 on `guitar RGBA 24`.
 """
 
+GROWTH_LOSS, GROWTH_BATCH_FROM = 0.05, 0.1
+"""Photo loss, a running mean, above which steps look at more photos while splats grow, and the share of the
+run at which that is decided. See `photo_size.automatic_growth_batch`."""
+
 FULL_REG_OPACITY = 0.06
 """Median opacity of the splats, below which the weight of opacity goes down, see
 `strategies.mcmc.ease_of_faint`: where texture is weak, as of a table's wood, the photo loss has little

@@ -34,6 +34,7 @@ from splatview.trainer.effects import (
     BLOCKS,
     EXPOSURE,
     FEW_PHOTOS,
+    MORE_PHOTOS,
     OUTLIERS,
     PASSING,
     SCENES,
@@ -41,6 +42,7 @@ from splatview.trainer.effects import (
     with_easing,
     with_exposure,
     with_frozen,
+    with_more_photos,
     with_outliers,
     with_passing,
     with_scenes,
@@ -49,7 +51,6 @@ from splatview.trainer.effects import (
 )
 from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
 from splatview.trainer.memory import MemoryPlan
-from splatview.trainer.outliers import disagreeing
 from splatview.trainer.views import TrainView
 
 if TYPE_CHECKING:
@@ -233,7 +234,7 @@ class TrainingRun:
         self.memory = memory
         """What the run takes, as it was stated."""
         self._needs = (1.0, 1.0)
-        self._easing_told = False
+        self._easing_told = self._more_photos_told = False
         """Share of the rules for few photos that is in force, in quarters."""
         self.evaluation: Evaluation | None = None
         """Latest scores on the held-out photos."""
@@ -320,12 +321,14 @@ class TrainingRun:
             self.effects = with_outliers(self.effects, outliers)
             if outliers.left_out.any():
                 self.on_note(f"{OUTLIERS}: {outliers.evidence}; --outliers off trains on them")
-            elif disagreeing(outliers.correlations).any():
+            elif outliers.disagree.any():
                 self.on_note(f"{OUTLIERS}: none; {outliers.evidence}; check their poses if they look wrong")
             if outliers.doubt:
                 self.on_note(f"photos agree little: {outliers.doubt}")
         if not masked and self.trainer.transients.is_decided:
             self._tell_transients()
+        if not self._more_photos_told and "growth_batch" in self.trainer.state:
+            self._tell_more_photos()
         if watching and self.trainer.withheld.given_back:
             self.effects = with_withheld(self.effects, self.trainer.withheld)
             if self.trainer.withheld.settled_at:
@@ -493,9 +496,15 @@ class TrainingRun:
             )
 
     def _tell_edit(self) -> None:
-        trainer = self.trainer
-        if trainer.edited:
-            self.effects = with_scenes(self.effects, len(trainer.members), taught=False, edited=True)
+        if self.trainer.edited:
+            members = len(self.trainer.members)
+            self.effects = with_scenes(self.effects, members, taught=False, edited=True)
+
+    def _tell_more_photos(self) -> None:
+        self._more_photos_told, settings, state = True, self.trainer.settings, self.trainer.state
+        self.effects = with_more_photos(self.effects, state["growth_batch"], settings, state["growth_by"])
+        for line in (one.why for one in self.effects if one.name == MORE_PHOTOS and one.in_force):
+            self.on_note(f"{MORE_PHOTOS}: {line}; --batch {settings.batch} takes no more")
 
     def _tell_easing(self) -> None:
         """Notes by what shares the rules for few photos are in force, where one has changed by a quarter.

@@ -25,7 +25,7 @@ from splatview.trainer.free_space import (
     MOST_OF_ONE,
 )
 from splatview.trainer.loss import SSIM_WEIGHT
-from splatview.trainer.recipe import FULL_REG_LOSS
+from splatview.trainer.recipe import FULL_REG_LOSS, GROWTH_LOSS
 from splatview.trainer.strategies import STRATEGIES, StrategySettings
 from splatview.trainer.strategies.ops import PAPER_ITERATIONS
 
@@ -53,6 +53,11 @@ class TrainSettings(StrategySettings):
     """Wall-clock length of the whole run; with both, the one that ends first."""
     batch: int = 1
     """Photos per step, whose gradients are averaged. See `photo_size.automatic_batch`."""
+    growth_batch: int = 1
+    """The same while splats grow, if it is more, where a run finds early that photos are not met
+    so well as `growth_loss`. See `photo_size.automatic_growth_batch`."""
+    growth_loss: float = GROWTH_LOSS
+    """Photo loss, a running mean, above which steps look at `growth_batch` photos."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     backdrop: Literal["auto", "off"] = "auto"
     """Whether photos that show the background as a plain colour, connected to their border, are known to be
@@ -161,7 +166,7 @@ class TrainSettings(StrategySettings):
     def __post_init__(self) -> None:
         if self.iterations is None and self.minutes is None:
             raise ValueError("iterations or minutes must be given")
-        for name in ("iterations", "minutes", "batch", "max_splats", "least_refine_steps"):
+        for name in ("iterations", "minutes", "batch", "growth_batch", "max_splats", "least_refine_steps"):
             value = getattr(self, name)
             if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"{name} must be above 0, got {value}")

@@ -46,6 +46,7 @@ from splatview.trainer.memory import (
 from splatview.trainer.photo_size import (
     HALF_THE_SIZE,
     automatic_batch,
+    automatic_growth_batch,
     automatic_levels,
     downscale_for,
     steps_of_a_minute,
@@ -127,6 +128,13 @@ def settings_for(
     # By evidence (None) nobody knows yet how long photos will be smaller.
     of_a_minute = steps_of_a_minute(pixels / photos, levels if along is None else along)
     batch = automatic_batch(timed, few_steps, threads, of_a_minute, everywhere=everywhere)
+    growth_batch = (
+        1
+        if "batch" in fields
+        else automatic_growth_batch(
+            timed, few_steps, threads, of_a_minute, photos=photos, everywhere=everywhere
+        )
+    )
     if iterations is None:
         iterations = few_steps or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))
@@ -139,6 +147,7 @@ def settings_for(
         fewer = automatic_shorter(photos, few_steps, timed, threads, unmet, of_a_minute)
     automatic: dict[str, Any] = {
         "batch": batch,
+        "growth_batch": 1 if fewer else growth_batch,
         "opacity_reg": weight,
         "scale_reg": weight,
         "full_reg_loss": FULL_REG_LOSS,
@@ -180,7 +189,7 @@ def memory_of(capture: Capture, settings: TrainSettings, views: TrainViews) -> R
     return run_memory(
         sizes,
         resolution=settings.resolution,
-        batch=settings.batch,
+        batch=max(settings.batch, settings.growth_batch),
         sh_degree=settings.sh_degree,
         stereo=_begins_by_stereo(capture, settings),
         ensemble=settings.ensemble if settings.trains_several else 1,

@@ -32,6 +32,7 @@ from splatview.trainer.initialisation import comments_for
 from splatview.trainer.outliers import Outliers
 from splatview.trainer.plugin import LossPlugin, LossStep, SplatTensors
 from splatview.trainer.progressive import ProgressiveResolution, mean_difference
+from splatview.trainer.recipe import GROWTH_BATCH_FROM
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.shading import Shadings
 from splatview.trainer.sky import Sky, hold, restore
@@ -90,6 +91,8 @@ class Trainer(Editing):
         self.counters = Counters()
         self.first, self.begun = 0, 0.0
         """Steps and seconds before the present scene: where a run trains several, see `ensemble`."""
+        self.first_photo = 0
+        """Photos that were looked at before it."""
         self.members: list[Parameters] = []
         """Scenes that are whole, where it trains several."""
         self.edited = False
@@ -192,26 +195,28 @@ class Trainer(Editing):
         self._decide_outliers(progress)
         self._decide_transients(progress)
         self._decide_exposures(progress)
+        self._decide_batch(progress)
 
         optimizer.zero_grad()  # first, for a step that failed may have left some
         optimizer.threads, optimizer.rates = self.threads, settings.rates(progress, self.extent)
         optimizer.set_options("means", far_from=settings.far_from_at(progress))
         optimizer.set_options("log_scales", max_aspect=settings.max_aspect / self.need_of_reg)
         optimizer.set_options("sh", rest_divisor=settings.sh_divisor)
-        info, loss = self._backward(progress)
-        self._check_seen(info)
+        places = range(counters.photos, counters.photos + self.batch)
+        info, loss = self._backward(places, progress)
+        self._check_seen(info, len(places))
         self._leave_frozen(info)
-        counters.iteration += 1
+        counters.iteration, counters.photos = counters.iteration + 1, places.stop
         held = hold(splats.arrays, self.state)
         with clock.stage("adam"):
             optimizer.step(info.pieces if settings.visible_only else self._all_learning())
         if self.exposures.is_on:
             with clock.stage("exposure"):
-                self.exposures.step(progress, settings.batch)
+                self.exposures.step(progress, len(places))
         with clock.stage("shading"):
             self.shadings.step(progress, self._rounds, exposed=self.exposures.is_on)
         with clock.stage("density"):
-            self._clear_free_space(info)
+            self._clear_free_space(info, places)
             self.strategy.step_post_backward(
                 splats, optimizer, self.state, counters.iteration, info, progress=progress
             )
@@ -225,19 +230,18 @@ class Trainer(Editing):
             counters.seconds += time.perf_counter() - begun
         return StepReport(counters.iteration, loss, len(splats), self.progress)
 
-    def _backward(self, progress: float) -> tuple[Visibility, float]:
+    def _backward(self, places: range, progress: float) -> tuple[Visibility, float]:
         """Leaves the mean gradients over the step's photos in the parameters; what the photos show, and the
-        mean loss."""
-        settings = self.settings
-        first, downscale = self.counters.iteration * settings.batch, self.downscale
+        mean loss. `places`: how many photos were looked at before each of them."""
+        downscale = self.downscale
         sums, before = self.strategy.sums(self.state), []
         if self.group.size > 1 or self.loss is not None:
             before = [total.copy() for total in sums]
         try:
-            if settings.batch == 1:
-                found = self._render_and_backprop(self._view_at(first, downscale), first)
+            if len(places) == 1:
+                found = self._render_and_backprop(self._view_at(places.start, downscale), places.start)
             else:
-                found = self._batch_backward(first, downscale, sums, before)
+                found = self._batch_backward(places, downscale, sums, before)
             self._note_differences()
             return found
         except BaseException:  # another process is gone, or the user's loss failed: nothing has been noted
@@ -248,13 +252,12 @@ class Trainer(Editing):
             raise
 
     def _batch_backward(
-        self, first: int, downscale: int, sums: list[np.ndarray], before: list[np.ndarray]
+        self, places: range, downscale: int, sums: list[np.ndarray], before: list[np.ndarray]
     ) -> tuple[Visibility, float]:
         """The same for a batch of photos, of which each process takes its share. `sums`: of the strategy, and
         what they were before, where there are several processes."""
-        group, photos = self.group, self.settings.batch
-        batch = BatchSum(self.splats.parameters())
-        for place in range(first + group.rank, first + photos, group.size):
+        group, batch = self.group, BatchSum(self.splats.parameters())
+        for place in places[group.rank :: group.size]:
             info, loss = self._render_and_backprop(self._view_at(place, downscale), place)
             with self.clock.stage("batch"):
                 batch.add(info.pieces, loss)
@@ -265,7 +268,7 @@ class Trainer(Editing):
                 for total, old, new in zip(sums, before, noted, strict=True):
                     total[:] = old + new
             group.add_up([by.gradients for by in (self.exposures, self.shadings) if by.is_on])
-            pieces, loss = batch.means(photos, group, self.threads)
+            pieces, loss = batch.means(len(places), group, self.threads)
         return Visibility(pieces, len(self.splats)), loss
 
     def _view_at(self, place: int, factor: int = 1) -> TrainView:
@@ -384,7 +387,22 @@ class Trainer(Editing):
     @property
     def _rounds(self) -> float:
         """How often each photo has been looked at for the present scene."""
-        return (self.counters.iteration - self.first) * self.settings.batch / len(self.views)
+        return (self.counters.photos - self.first_photo) / len(self.views)
+
+    @property
+    def batch(self) -> int:
+        """Photos that the next step looks at: more while splats grow, where that was decided."""
+        grows = self.scene_progress < self.settings.refine_until
+        return int(self.state.get("growth_batch", 0) if grows else 0) or self.settings.batch
+
+    def _decide_batch(self, progress: float) -> None:
+        """Whether steps look at `TrainSettings.growth_batch` photos, once."""
+        settings, state = self.settings, self.state
+        if settings.growth_batch <= settings.batch or "growth_batch" in state or self.loss is not None:
+            return
+        if progress >= GROWTH_BATCH_FROM:
+            loss = state["growth_by"] = state.get("photo_loss", 0.0)
+            state["growth_batch"] = settings.growth_batch if loss > settings.growth_loss else settings.batch
 
     def leave_out(self, rows: np.ndarray) -> None:
         """From now on these photos, (P,) bool, are not trained on, and all others are.
@@ -427,8 +445,8 @@ class Trainer(Editing):
 
     def _watch_withheld(self, progress: float) -> None:
         """Measures what is withheld now and then, and does what it tells. See `withheld`."""
-        step, batch = self.counters.iteration, self.settings.batch
-        told = self.withheld.look(progress, step, batch, self.downscale, self._withheld_error)
+        step, looked = self.counters.iteration, (self.counters.photos, self.batch)
+        told = self.withheld.look(progress, step, looked, self.downscale, self._withheld_error)
         if told == "settle":
             self.change(iterations=math.ceil(step / SETTLED))
         if told is not None:
@@ -454,9 +472,9 @@ class Trainer(Editing):
             scene = self.splats.arrays, self.views.sized(self.downscale), self.render_settings
             self.exposures.decide(*scene, Workspace(), self.threads, self.places)
 
-    def _check_seen(self, info: Visibility) -> None:
+    def _check_seen(self, info: Visibility, photos: int) -> None:
         """Raises NothingSeen where a round of photos has shown nothing."""
-        self._unseen = math.nan if len(info) else self._unseen + self.settings.batch
+        self._unseen = math.nan if len(info) else self._unseen + photos
         # Of so many in a row each photo is one: orders of the photos differ from round to round.
         if self._unseen >= 2 * len(self.views):
             raise NothingSeen(
@@ -490,13 +508,13 @@ class Trainer(Editing):
         """Indices of the splats that are not frozen, in a list; None: of all."""
         return [np.flatnonzero(~self.state["frozen"]).astype(np.int32)] if "frozen" in self.state else None
 
-    def _clear_free_space(self, info: Visibility) -> None:
+    def _clear_free_space(self, info: Visibility, places: range) -> None:
         """Makes invisible what stands before the cameras of the step's photos, nearer than what they show,
         and shortens what is too long to be told from a veil. See `free_space`."""
-        settings, first = self.settings, (self.counters.iteration - 1) * self.settings.batch
+        settings = self.settings
         if self.counters.iteration % CLEAR_STEPS:
             return
-        for view in (self._view_at(place) for place in range(first, first + settings.batch)):
+        for view in map(self._view_at, places):
             row = self._rows.get(view.camera.name)  # none of what is no photo
             depth = 0.0 if row is None else settings.free_space * self.nearest_depths[row]
             clear(self.splats.arrays, info.pieces, view.camera, depth, settings.max_size, self.threads)

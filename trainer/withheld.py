@@ -107,17 +107,18 @@ class Withheld:
         return not error > COARSE_RISE * least
 
     def look(
-        self, progress: float, step: int, batch: int, factor: int, error: Callable[[], float]
+        self, progress: float, step: int, looked: tuple[int, int], factor: int, error: Callable[[], float]
     ) -> Literal["whole", "settle"] | None:
         """Before a step, at a share of the run and with photos smaller by a factor: whether photos are whole
         from here on, and whether the run is to settle besides, as full size teaches no more. Measures the
-        `error` now and then, and ends the coarse stage when it becomes worse."""
+        `error` now and then, and ends the coarse stage when it becomes worse. `looked`: photos that were
+        looked at before, and those of a step."""
         if self.given_back:
             return None
         if progress >= GIVEN_BACK:
             self.given_back = True
             return "whole"
-        if not self.is_due(step * batch, batch) or self.teaches(error(), factor):
+        if not self.is_due(*looked) or self.teaches(error(), factor):
             return None
         if factor > 1:
             self.coarse_is_over = True

@@ -22,6 +22,7 @@ from splatview.trainer.effects import (
     FEW_PHOTOS,
     FROZEN,
     LONGEST,
+    MORE_PHOTOS,
     OUTLIERS,
     PASSING,
     SCALE_RATIO,
@@ -122,6 +123,7 @@ def test_each_effect_names_its_evidence():
     assert {name for name, (on, _) in rich.items() if on} == set(rich) - {
         "antialiased opacity",
         BLOCKS,
+        MORE_PHOTOS,
         SKY,
         SURROUND,
         COVERED,
@@ -248,6 +250,25 @@ def test_rules_for_few_photos_are_told_and_so_is_their_easing(make_trainer, tmp_
     assert note.endswith("; eased to 25%, as the scene meets them")
     assert note == f"{FEW_PHOTOS}: {training_run.effects[-1].why}"
     assert with_easing(training_run.effects, 1.0)[-1] == effects[-1], "back to all of it"
+
+
+@pytest.mark.parametrize(("loss", "photos"), [(0.0, 3), (9.0, 1)])
+def test_more_photos_of_a_step_are_told(make_trainer, tmp_path, loss, photos):
+    ring = capture([2.0] * 5)
+    on, why = told(ring)[MORE_PHOTOS]
+    assert not on and why.startswith("1 all along")
+    trainer = make_trainer(iterations=30, growth_batch=3, growth_loss=loss)
+    effects = capture_effects(ring, trainer.settings, "auto")
+    (before,) = (effect for effect in effects if effect.name == MORE_PHOTOS)
+    assert not before.on and before.why.endswith(
+        f"after 10% of the run photos are met with a loss above {loss:g}"
+    )
+    training_run, notes = run_that_tells(trainer, effects, tmp_path)
+    (after,) = (effect for effect in training_run.effects if effect.name == MORE_PHOTOS)
+    met = f"as photos are met with a loss of {trainer.state['growth_by']:.3f}"
+    assert after.on == (photos > 1) and after.why.endswith(met)
+    lines = [note for note in notes if MORE_PHOTOS in note]
+    assert lines == [f"{MORE_PHOTOS}: 3 while splats grow, {met}; --batch 1 takes no more"][: int(after.on)]
 
 
 @pytest.mark.parametrize("weight", [0.1, 0.01])

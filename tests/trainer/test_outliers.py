@@ -20,10 +20,12 @@ from splatview.trainer.outliers import (
     FEWEST_PHOTOS,
     LEAST_DIFFERENCE,
     LEAST_RATIO,
+    LEAST_UNMET,
     Outliers,
     apart,
     correlation,
     disagreeing,
+    unmet,
     window_sums,
 )
 from splatview.trainer.run import Outputs, TrainingRun
@@ -87,6 +89,41 @@ def test_exposure_colour_and_shade_do_not_count_but_places_do() -> None:
     assert correlation(shaded, photo) > 0.97
     assert correlation(np.roll(shown, 5, axis=1), photo) < 0.6
     assert correlation(1 - shown, photo) == pytest.approx(-1, abs=1e-3)
+
+
+def test_what_is_blurred_is_met_better_than_what_is_elsewhere() -> None:
+    pixels = picture()
+    shown, photo = pixels / 255, photo_of(pixels)
+    mean = shown.mean(axis=(0, 1))
+    assert unmet(shown, photo) == pytest.approx(0, abs=1e-9)
+    assert unmet(0 * shown, photo) == pytest.approx(1)
+    assert unmet(0.5 * (shown + mean), photo) == pytest.approx(0.25, abs=1e-3)
+    blurred = (shown + sum(np.roll(shown, by, axis=1) for by in (-2, -1, 1, 2))) / 5
+    elsewhere = np.roll(shown, 5, axis=1)
+    assert correlation(blurred, photo) < 1 and unmet(blurred, photo) < LEAST_UNMET < unmet(elsewhere, photo)
+    mask = np.ones(pixels.shape[:2], np.bool_)
+    assert np.isnan(unmet(shown, photo_of(pixels, ~mask)))
+    assert np.isnan(unmet(shown, photo_of(np.full_like(pixels, 9))))
+    mask[:, :30] = False
+    shown[:, :30] = 0
+    assert unmet(shown, photo_of(pixels, mask)) == pytest.approx(0, abs=1e-9)
+
+
+def test_photos_that_are_learnt_late_are_not_left_out() -> None:
+    lacking = np.concatenate([np.full(20, 0.1), [0.5, 0.45]])
+    late = np.concatenate([np.full(20, 0.2), [LEAST_UNMET - 0.01, 0.9]])
+    assert np.flatnonzero(disagreeing(1 - lacking, late)).tolist() == [21]
+    assert np.flatnonzero(apart(1 - lacking, late)).tolist() == [21], (
+        "however near it is to one that is right"
+    )
+    assert not apart(1 - lacking, np.full(22, LEAST_UNMET - 0.01)).any()
+    assert not apart(1 - lacking, np.full(22, np.nan)).any()
+    outliers = Outliers([f"{row}.png" for row in range(22)])
+    outliers.correlations, outliers.unmet = 1 - lacking, np.full(22, 0.5)
+    outliers.decide(apart(outliers.correlations, outliers.unmet))
+    assert outliers.evidence.startswith(
+        "2 of 22 photos are learnt late, and nothing speaks against them: the"
+    )
 
 
 def test_what_is_masked_does_not_count() -> None:
@@ -210,6 +247,7 @@ def test_too_many_that_disagree_are_told_of(views, start, tmp_path: Path, monkey
     trainer = make_trainer(views, start, iterations=400)
     found = np.array([0.2] * 6 + [0.9] * 14)
     monkeypatch.setattr("splatview.trainer.outliers.correlation", lambda picture, view: found[len(seen) - 1])
+    monkeypatch.setattr("splatview.trainer.outliers.unmet", lambda picture, view: 1.0)
     seen: list[int] = []
     monkeypatch.setattr(
         "splatview.trainer.outliers.draw_frame",

@@ -28,9 +28,8 @@ from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoi
 from splatview.trainer.counters import StepReport
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.functional import Visibility, dropout
-from splatview.trainer.photo_size import HALF_THE_SIZE, automatic_batch, automatic_levels, steps_of_a_minute
+from splatview.trainer.photo_size import HALF_THE_SIZE, steps_of_a_minute
 from splatview.trainer.recipe import (
-    FEW_PHOTOS,
     MOST_DETAIL,
     ONCE_PIXELS,
     SH_STEPS,
@@ -466,34 +465,6 @@ def test_scales_change_fast_but_for_the_classic_strategy_and_few_photos(capture_
     of_few, of_more = (settings_for(capture, shown, minutes=1) for shown in (few, views))
     assert of_few.rates(0.2, 1.0).log_scales == paper.rates(0.2, 1.0).log_scales
     assert len(views) >= FEWEST_FOR_FAST and of_more.rates(0, 1.0).log_scales == fast.rates(0, 1.0).log_scales
-
-
-def test_photos_of_a_step_are_as_many_as_there_is_time_for(capture_folder) -> None:
-    minutes = (None, 0.1, 1, 3, 7, 10, 1e6)
-    assert [automatic_batch(m, None, 2) for m in minutes] == [1, 1, 1, 2, 2, 4, 4]
-    assert [automatic_batch(m, None, 2, everywhere=False) for m in minutes] == [1, 1, 1, 2, 2, 2, 2]
-    assert [automatic_batch(3, None, threads) for threads in (1, 2, 8, 64)] == [1, 2, 4, 4]
-    assert automatic_batch(10, 6_000, 2) == 1
-    levels = automatic_levels([(800, 800)], 3, 2)
-    assert automatic_batch(3, None, 2, steps_of_a_minute(800 * 800, levels)) == 1
-    assert (
-        automatic_batch(3, None, 2, steps_of_a_minute(200 * 200, automatic_levels([(200, 200)], 3, 2))) == 2
-    )
-    capture = load_capture(capture_folder)
-    few = train_views(capture.train)
-    many = TrainViews(few * (-(-FEW_PHOTOS // len(few))), 0)
-    assert settings_for(capture, many, minutes=10, threads=2).batch == 2
-    assert settings_for(capture, many, minutes=10, threads=2, batch=3).batch == 3
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(setup, "find_backdrop", lambda views: None)
-        assert settings_for(capture, many, minutes=10, threads=2).batch == 4, "they show something everywhere"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(TrainViews, "pixel_count", 400_000 * len(many))
-        levels = ((0.9, 4),)
-        taken = [settings_for(capture, many, minutes=4, threads=2, resolution=r).batch for r in (levels, ())]
-    assert taken == [2, 1], "by how long photos are smaller"
-    assert settings_for(capture, many, minutes=10, iterations=100, threads=2).batch == 1
-    assert settings_for(capture, TrainViews(few, 0), minutes=10, threads=2).batch == 1
 
 
 def test_a_minute_has_fewer_steps_the_larger_the_photos() -> None:

@@ -55,7 +55,7 @@ def farthest(photos: list[list[float]], most: bool = True) -> str:
     """What the photo lacks that is farthest from the median one, or nearest to it."""
     if not photos:
         return ""
-    ratio, difference = max(photos) if most else min(photos)
+    ratio, difference, *_ = max(photos) if most else min(photos)
     return f"{ratio:.1f}x, {difference:+.2f}"
 
 

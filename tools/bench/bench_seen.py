@@ -64,7 +64,7 @@ def trained_scene(
     pixels, used = views.pixel_count / len(views), START
     with kernel_threads_only():
         while not trainer.done:
-            used += step_seconds(pixels / trainer.downscale**2, len(trainer.splats), settings.batch)
+            used += step_seconds(pixels / trainer.downscale**2, len(trainer.splats), trainer.batch)
             trainer.step(used)
     return trainer.splats.arrays, trainer.shown_settings
 

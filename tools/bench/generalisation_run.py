@@ -154,13 +154,13 @@ def seen_by(trained: Any, camera: Any) -> np.ndarray:
 
 def outliers(trainer: Any, wrong: list[str]) -> dict[str, Any]:
     """What the run left out, and how far photos were from the median one: for each, how many times as much it
-    lacked to a correlation of 1 with the scene, and how much more."""
+    lacked to a correlation of 1 with the scene, how much more, and what was unmet of its details."""
     found = trainer.outliers
-    lacking = 1 - found.correlations
+    lacking, unmets = 1 - found.correlations, getattr(found, "unmet", found.correlations * np.nan)
     median = float(np.nanmedian(lacking)) if np.isfinite(lacking).any() else np.nan
     far = {
-        name: [round(float(lack / median), 2), round(float(lack - median), 3)]
-        for name, lack in zip(found.names, lacking, strict=True)
+        name: [round(float(lack / median), 2), round(float(lack - median), 3), round(float(unmet), 3)]
+        for name, lack, unmet in zip(found.names, lacking, unmets, strict=True)
     }
     right = sorted((far[name] for name in found.names if name not in wrong), reverse=True)
     return {
@@ -275,14 +275,21 @@ def main() -> None:
         )
 
     curve: list[tuple[float, int, float]] = []
+    early: dict[float, Any] = {}
     pixels, used, last, pictures = views.pixel_count / len(views), START, 0.0, 0
     with kernel_threads_only():
         while not trainer.done and trainer.progress < options.until:
             known = hasattr(trainer, "downscale")
             factor = trainer.downscale if known else settings.downscale_at(trainer.progress)
-            batch = getattr(settings, "batch", 1)
+            batch = getattr(trainer, "batch", getattr(settings, "batch", 1))
             used += step_seconds(pixels / factor**2, len(trainer.splats), batch, large=large)
             trainer.step(used)
+            for share in (0.05, 0.1, 0.15, 0.2, 0.25, 0.3):
+                if trainer.progress >= share and share not in early:
+                    early[share] = (
+                        round(trainer.state.get("photo_loss", 0.0), 5),
+                        round(float(np.median(1 / (1 + np.exp(-trainer.splats.arrays.opacity_logits)))), 4),
+                    )
             taught = getattr(trainer, "taught", None)
             if taught is not None and not pictures:
                 pictures = len(taught) * len(trainer.members)
@@ -323,6 +330,8 @@ def main() -> None:
         "iteration": trainer.counters.iteration,
         "gaussians": len(trainer.splats),
         "batch": getattr(settings, "batch", 1),
+        "early_loss": list(early.values()),
+        "growth_batch": int(trainer.state.get("growth_batch", 0)),
         "scenes": len(getattr(trainer, "members", ())) + bool(pictures),
         "seconds": used,
         "exposure": trainer.exposures.is_on,

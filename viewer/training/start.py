@@ -32,7 +32,7 @@ from splatview.trainer.memory import (
     run_memory,
     sizes_of_files,
 )
-from splatview.trainer.photo_size import automatic_batch, downscale_for
+from splatview.trainer.photo_size import automatic_batch, automatic_growth_batch, downscale_for
 from splatview.trainer.recipe import LEAST_LIMIT, MEMBERS, automatic_limit, automatic_steps
 from splatview.trainer.settings import TrainSettings
 from splatview.viewer import open as opening
@@ -276,7 +276,10 @@ class TrainingStart(Feature):
         memory = run_memory(
             sizes,
             resolution=TrainSettings.resolution,
-            batch=automatic_batch(minutes, steps, self.machine.threads),
+            batch=max(
+                automatic_batch(minutes, steps, self.machine.threads),
+                automatic_growth_batch(minutes, steps, self.machine.threads),
+            ),
             stereo=begins_by_stereo(TrainSettings.start, points=points, pixels=sizes.largest),
             ensemble=MEMBERS if steps is not None and minutes is not None else 1,
             machine=self.machine,
