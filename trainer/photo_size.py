@@ -181,14 +181,15 @@ def automatic_growth_batch(
     end the run before the minutes do.
 
     Where photos are met badly they contradict one another, and splats that grow by one of them at a time
-    follow each. Three minutes by one and by four while splats grow (batch_growth.json), by their loss at a
-    tenth of the run: `room` (0.075) 22.91 and 23.04 dB, `gum` (0.064) 26.64 and 26.65 (two runs), `beer`
-    (0.069) 26.98 and 27.17, `mug` (0.054) 30.06 and 30.29, SSIM 0.858 and 0.868. By four all along `beer`
-    (0.060) 24.61 and 25.53, `fruit` (0.060) 28.52 and 28.80, `games` (0.051) 28.08 and 28.04; four from half
-    of the run on, 29.90 on `mug`. Of what is met better `fox` (0.041) gains 0.37 and `field` (0.048) 0.16,
-    but `mouse` (0.047) loses 0.34 (two runs), `coke` (0.016) 0.31 and `carton` (0.033) 0.08: the least loss
-    is between, and no other capture has judged it. What tells it no better: how much of a splat's gradient
-    is alike from step to step.
+    follow each. Three minutes by one and by four while splats grow (batch_growth.json), and their loss at a
+    twentieth of the run: from there on `mug` (0.062) 30.06 and 30.51 dB, SSIM 0.858 and 0.874, `beer` (0.066)
+    24.61 and 24.95; from a tenth on these 30.29 and 24.82, `room` (0.103) 22.91 and 23.04, `gum` (0.080)
+    26.64 and 26.65 (two runs), `field` (0.059) 29.01 and 29.17; by four all along `fruit` (0.068) 28.52 and
+    28.80, `games` (0.063) 28.08 and 28.04; four from half of the run on, 29.90 on `mug`. Of what is met
+    better `fox` (0.049) gains 0.37, but `mouse` (0.055) loses 0.34 (two runs), `coke` (0.019) 0.31 and
+    `carton` (0.044) 0.08: the least loss is between, and no other capture has judged it. Ten minutes of
+    `beer` so, from a tenth on, have 24.57. What tells it no better: how much of a splat's gradient is alike
+    from step to step.
     """
     if minutes is None or not everywhere or photos < FEWEST_FOR_FAST:
         return 1

@@ -116,7 +116,7 @@ Dropped: twice as much where photos are transparent, which tell what is empty. C
 near` -0.5 and -0.4. Dropped too: in proportion to the square, 38.19 on `guitar RGBA 24`.
 """
 
-GROWTH_LOSS, GROWTH_BATCH_FROM = 0.05, 0.1
+GROWTH_LOSS, GROWTH_BATCH_FROM = 0.058, 0.05
 """Photo loss, a running mean, above which steps look at more photos while splats grow, and the share of the
 run at which that is decided. See `photo_size.automatic_growth_batch`."""
 

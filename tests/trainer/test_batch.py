@@ -105,8 +105,8 @@ def test_a_run_with_more_photos_while_splats_grow_goes_on_bit_for_bit(make_train
 
     path = tmp_path / "run.safetensors"
     whole, resumed = whole_and_resumed(another, path)  # it is saved while they grow, and grows until step 70
-    assert load_checkpoint(path).counters.photos == 14 + 26 * 3
-    assert whole.counters.photos == resumed.counters.photos == 14 + 56 * 3 + 20
+    assert load_checkpoint(path).counters.photos == 7 + 33 * 3
+    assert whole.counters.photos == resumed.counters.photos == 7 + 63 * 3 + 20
     assert whole.batch == resumed.batch == 1
 
 

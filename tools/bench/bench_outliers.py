@@ -37,8 +37,8 @@ NOTE = (
 
 NOTE_TOLD = (
     f"{NOTE} Lacking: what a photo lacks to a correlation of 1 with the scene as it is at a tenth of the "
-    "run, over that of the median photo, and less it. Unmet: squared difference of the details, in those of the "
-    "photo, then; where it is given, rows are of the present rule, measured on Intel Xeon."
+    "run, over that of the median photo, and less it. Unmet: squared difference of the details, in those of "
+    "the photo, then; where it is given, rows are of the present rule, measured on Intel Xeon."
 )
 
 
