@@ -180,8 +180,7 @@ def automatic_growth_batch(
     """A sensible `growth_batch`, as of `automatic_batch`, for a capture of so many photos; 1 where `steps`
     end the run before the minutes do.
 
-    Where photos are met badly they contradict one another, and splats that grow by one of them at a time
-    follow each. Three minutes by one and by four while splats grow (batch_growth.json), and their loss at a
+    Three minutes by one and by four while splats grow (batch_growth.json), and their loss at a
     twentieth of the run: from there on `mug` (0.062) 30.06 and 30.51 dB, SSIM 0.858 and 0.874, `beer` (0.066)
     24.61 and 24.95; from a tenth on these 30.29 and 24.82, `room` (0.103) 22.91 and 23.04, `gum` (0.080)
     26.64 and 26.65 (two runs), `field` (0.059) 29.01 and 29.17; by four all along `fruit` (0.068) 28.52 and
