@@ -260,9 +260,7 @@ def test_more_photos_of_a_step_are_told(make_trainer, tmp_path, loss, photos):
     trainer = make_trainer(iterations=30, growth_batch=3, growth_loss=loss)
     effects = capture_effects(ring, trainer.settings, "auto")
     (before,) = (effect for effect in effects if effect.name == MORE_PHOTOS)
-    assert not before.on and before.why.endswith(
-        f"after 10% of the run photos are met with a loss above {loss:g}"
-    )
+    assert not before.on and before.why.endswith(f"met with a loss above {loss:g}")
     training_run, notes = run_that_tells(trainer, effects, tmp_path)
     (after,) = (effect for effect in training_run.effects if effect.name == MORE_PHOTOS)
     met = f"as photos are met with a loss of {trainer.state['growth_by']:.3f}"

@@ -140,6 +140,7 @@ def test_a_scene_that_follows_is_as_one_of_its_own(make: Make) -> None:
     begun = trainer.begun / 60
     alone = make(Trainer, ensemble=1, minutes=begun + (10 - begun) / (2 * SPARE))
     alone.counters.iteration = alone.first = alone.state["refined_at"] = STEPS
+    alone.counters.photos = alone.first_photo = STEPS  # one in each
     alone.counters.seconds = alone.begun = trainer.begun
     whole(trainer, 2)
     alone.outliers.is_decided = True
