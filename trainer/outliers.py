@@ -248,7 +248,8 @@ def correlation(picture: np.ndarray, view: TrainView) -> float:
 
 def unmet(picture: np.ndarray, view: TrainView) -> float:
     """Of the squares of a photo's `details`, those of the difference to a picture's (H, W, 3 or 4), 0 to inf.
-    NaN where the photo is the same all over, or its mask leaves nothing."""
+    NaN where the photo is the same all over, or its mask leaves nothing. Exposure matters to it: of a photo
+    much brighter than the scene less is unmet."""
     shown, photo = details(picture, view)
     scale, difference = (photo * photo).sum(), shown - photo
     return float((difference * difference).sum() / scale) if scale > 1e-9 else np.nan
