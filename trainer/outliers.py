@@ -64,8 +64,8 @@ right; where a pose is wrong, the scene shows the same sharply, in another place
 of at most 0.47 is left out by this however blurred.
 
 Chosen on right ones that were left out without it, 0.63 to 0.74 (10 of 53 photos of `playbot close 80`, 3
-minutes, split 1), 0.55 and 0.66 (`gum`), and wrong ones: turned by 3 degrees, 0.83 and more (`miku`), as their
-capture has them, 0.82 and, by a few pixels, 0.71 (`mug`). Judged by right ones that were left out, 0.63
+minutes, split 1), 0.55 and 0.66 (`gum`), and wrong ones: turned by 3 degrees, 0.83 and more (`miku`), as
+their capture has them, 0.82 and, by a few pixels, 0.71 (`mug`). Judged by right ones that were left out, 0.63
 (`miku 40 far`), 0.74 and 0.60 (`cat`), and wrong ones, 0.90 and more (`demo hard 40`, `biker sky 30`,
 `banana`, `miku 12 far`)."""
 
