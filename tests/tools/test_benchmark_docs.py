@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from bench_ladder import ladder_table
+from bench_ladder import ladder_table, training_table
 from benchmark_docs import fill, main
 
 from splatview.measure.knobs import KNOBS
@@ -133,3 +133,38 @@ def test_check_sees_a_stale_table(tmp_path):
 def test_a_table_without_json_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"missing\.json"):
         fill("<!-- table: missing -->\n<!-- end of table -->", tmp_path)
+
+
+def test_a_gain_is_sure_where_its_interval_has_no_zero():
+    def rung(knob: str, finals: list[float], gain: float, half_width: float | None, equal: float | None):
+        runs = [{"seconds": [30.0], "psnr": [final], "steps": 900, "gaussians": 1500} for final in finals]
+        return {
+            "knob": knob,
+            "value": "other",
+            "psnr": sum(finals) / len(finals),
+            "gain": gain,
+            "gain_half_width": half_width,
+            "seconds_to_equal": equal,
+            "runs": runs,
+        }
+
+    results = {
+        "capture": "photos",
+        "minutes": 0.5,
+        "seeds": 2,
+        "exposures_fitted": False,
+        "without_effect": ["sky: off is left out: the capture has not a sky"],
+        "rungs": [
+            rung("recipe", [20.0, 21.0], 0.0, 0.0, 30.0),
+            rung("splats", [21.0, 22.0], 1.0, 0.5, 22.4),
+            rung("dropout", [19.0, 21.5], -0.25, None, None),
+        ],
+    }
+    table = training_table(results)
+    assert table["rows"] == [
+        ["the recipe", "20.50", "", "", "", "900", "1,500"],
+        ["splats: other", "21.50", "+1.00 (+1.00 to +1.00)", "yes", "22", "900", "1,500"],
+        ["dropout: other", "20.25", "-0.25 (-1.00 to +0.50)", "", "never", "900", "1,500"],
+    ]
+    assert "30 seconds of the clock a run, 2 seeds" in table["note"]
+    assert "Without effect on this capture: sky: off." in table["note"]

@@ -1,10 +1,14 @@
-"""The accuracy ladder and the bill of real scenes, for docs/accuracy.md.
+"""The accuracy ladder and the bill of real scenes, for docs/accuracy.md; training's ladder of a capture, for
+docs/training.md.
 
     python tools/bench/bench_ladder.py [SCENE.ply ...] [--size WxH] [--seconds S] [--renderers A,B]
                                             [--rounds N] [--name NAME]
+    python tools/bench/bench_ladder.py --train CAPTURE [--minutes M] [--seeds N] [--downscale K]
+                                            [--knobs A,B] [--name NAME]
 
 Runs `splatview ladder` and `splatview bill` as a user would; writes ladder_NAME.json, ladder_NAME.png,
-bill_NAME.json and bill_playbot.png. On a quiet machine: `make tables` then brings the page up to date.
+bill_NAME.json and bill_playbot.png, or training_ladder_NAME.json. On a quiet machine: `make tables` then
+brings the page up to date.
 """
 
 from __future__ import annotations
@@ -95,6 +99,44 @@ def bill_table(scene: str, rows: list[tuple[str, str, str]], sums: list[str]) ->
     }
 
 
+def training_table(results: Mapping[str, Any]) -> dict[str, Any]:
+    """The `table` of a training ladder's JSON (`splatview ladder --train --json`)."""
+    seeds, rows = results["seeds"], []
+    for rung in results["rungs"]:
+        is_baseline = rung is results["rungs"][0]
+        gain, width, equal = rung["gain"], rung["gain_half_width"], rung["seconds_to_equal"]
+        sure = width is not None and abs(gain) > width
+        of_seeds = [
+            run["psnr"][-1] - base["psnr"][-1]
+            for run, base in zip(rung["runs"], results["rungs"][0]["runs"], strict=True)
+        ]
+        said = f"{gain:+.2f}" + (f" ({min(of_seeds):+.2f} to {max(of_seeds):+.2f})" if seeds > 1 else "")
+        steps, splats = (sum(run[name] for run in rung["runs"]) / seeds for name in ("steps", "gaussians"))
+        rows.append(
+            [
+                "the recipe" if is_baseline else f"{rung['knob']}: {rung['value']}",
+                f"{rung['psnr']:.2f}",
+                "" if is_baseline else said,
+                "" if is_baseline else ("yes" if sure else ""),
+                "" if is_baseline else ("never" if equal is None else f"{equal:.0f}"),
+                f"{steps:,.0f}",
+                f"{splats:,.0f}",
+            ]
+        )
+    without = [text.partition(" is left out")[0] for text in results["without_effect"]]
+    return {
+        "columns": ["instead", "PSNR, dB", "gain, dB", "sure", "s to equal", "steps", "splats"],
+        "rows": rows,
+        "note": f"{results['capture']}: {results['minutes'] * 60:g} seconds of the clock a run, "
+        f"{seeds} seeds, held-out photos"
+        + (", after a fit of their exposures" if results["exposures_fitted"] else "")
+        + ". Gain: over the recipe, the mean and the least and most over seeds; sure, where its 95 % "
+        "interval by Student's t has no 0. Seconds to equal: until the PSNR that the recipe ends with; "
+        "never, where a seed did not come there."
+        + (f" Without effect on this capture: {', '.join(without)}." if without else ""),
+    }
+
+
 def splatview(*arguments: object) -> dict[str, Any]:
     """The JSON that a command prints."""
     command = [str(Path(sys.executable).with_name("splatview")), *map(str, arguments), "--json"]
@@ -111,7 +153,19 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, help="pairs of each shortcut, however long they take")
     parser.add_argument("--renderers")
     parser.add_argument("--name", help="of the files, in place of the scene's; then there is no bill")
+    parser.add_argument("--train", type=Path, metavar="CAPTURE")
+    parser.add_argument("--minutes", type=float, default=0.5)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--downscale", default="auto")
+    parser.add_argument("--knobs")
     args = parser.parse_args()
+    if args.train is not None:
+        chosen = ["--knobs", args.knobs] if args.knobs else []
+        counts = ["--minutes", args.minutes, "--seeds", args.seeds, "--downscale", args.downscale]
+        ladder = splatview("ladder", "--train", args.train, *counts, *chosen)
+        path = ROOT / FOLDER / f"training_ladder_{args.name or args.train.name}.json"
+        write_results(path, {**ladder, "table": training_table(ladder)})
+        return
     data = ROOT.parent / "shared" / "data" / "scenes"
     given = {path.stem.partition("_")[0]: path for path in args.scenes}
     for name, path in (given or {name: data / file for name, file in SCENES.items()}).items():

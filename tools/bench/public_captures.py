@@ -109,6 +109,12 @@ PUBLIC = {
     "gum": PublicCapture("judge", SCENE2MESH, "real_scene_data/gum/train", 3, poses=TRANSFORMS, every=5),
     "field": PublicCapture("judge", INSTANT_NGP, "images", 3, poses=POSES_JSON),
     "room": PublicCapture("judge", "mamechun/gs_data", "dense/0/images", 3, poses="dense/0/sparse"),
+    "imp": PublicCapture("judge", "5697526/NeRF-TensoRF", "images", 5, poses=POSES_JSON),
+    "bear": PublicCapture("judge", "ConsideringName/upload-files", "images", 4),
+    "bedroom": PublicCapture("judge", "Stam21/GaussianSplattingExample", "data/images", 2, every=6),
+    "engine": PublicCapture("judge", "mlieschang1007/1014_project", "images", 5, poses="sparse/0"),
+    "museum": PublicCapture("judge", "vork/alexanderTheGreat", "images", 12),
+    "bronze": PublicCapture("judge", "vork/ethiopianHead", "images", 16, poses=POSES_BOUNDS, cut_out=True),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
@@ -122,7 +128,9 @@ cat whose photos are transparent around it; a room of an office, by a phone, who
 before a desert, walked along with a camera; fruit on a sheet, by a phone; a carton of tea on a table in an
 office; games on a carpet; a carton of milk, cut out before white; a figure on a table in a flat; a desk with
 a lit keyboard; a can of beer on tiles; a mug on a table; a can on a sheet; a pot of gum before screens;
-tractors on a field; a room from its inside."""
+tractors on a field; a room from its inside; a shiny figurine on a table; a plush bear on a table in an
+office; a bedroom, by a phone; a railway engine under the sky; a marble head in a museum; a
+bronze head that shines, cut out."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:
