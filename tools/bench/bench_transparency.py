@@ -29,7 +29,10 @@ from splatview.trainer.views import train_views
 
 CAPTURES = ("carton", "fox", "desk")
 
-OBJECTS = ("playbot RGBA 18", "skull RGBA 24", "guitar RGBA 24", "spot RGBA 60", "cat")
+OBJECTS = (
+    *("playbot RGBA 18", "skull RGBA 24", "guitar RGBA 24", "spot RGBA 60", "cat"),
+    *("playbot close 80", "skull close 80"),
+)
 """Whose transparency is to count as empty."""
 
 REACH = 0.88

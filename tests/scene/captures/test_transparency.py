@@ -49,6 +49,21 @@ def test_close_views_of_an_object_may_show_nothing_else(capture_with):
     assert capture.background is not None and capture.statistics.transparent == 5
 
 
+def beside(number):
+    """Of an object that fills a photo but for a corner, another one in every photo."""
+    alpha = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    rows = slice(0, 3) if number % 2 else slice(HEIGHT - 3, HEIGHT)
+    alpha[rows, 4 * number : 4 * number + 4] = 0
+    return alpha
+
+
+def test_photos_that_an_object_fills_are_before_nothing(capture_with):
+    assert np.mean([beside(i) for i in range(9)]) > 0.97 * 255
+    capture = capture_with({i: beside(i) for i in range(9)})
+    assert capture.background is not None and capture.statistics.transparent == 9
+    assert not capture.warnings
+
+
 @pytest.mark.parametrize("downscale", [1, 2])
 def test_a_rim_is_unknown(capture_with, downscale):
     capture = capture_with(dict.fromkeys(range(9), RIM), downscale=downscale)
