@@ -144,6 +144,10 @@ LEAST_SHOWN = 2e-6
 LEAST_VISIBILITY = 0.01
 """See `TrainSettings.least_visibility`."""
 
+MOST_CHANGED = (0.5 / 255) ** 2
+"""Mean squared difference, 0 to 1, by which photos' pictures may change where splats that hide go as a run
+ends: half a level of their 8 bits, 54.2 dB."""
+
 MOST_OF_ONE = 0.95
 """See `TrainSettings.most_of_one`."""
 
@@ -276,10 +280,12 @@ def worth_keeping(
     *,
     least_shown: float,
     least_visibility: float,
+    most_changed: float = math.inf,
     threads: int | None = None,
 ) -> np.ndarray:
     """(N,) bool: the splats that photos show so much of; see `TrainSettings.least_shown` and
-    `TrainSettings.least_visibility`."""
+    `TrainSettings.least_visibility`. What hides stays where without all of it the photos' pictures would
+    change by more than `most_changed`, a mean squared difference, 0 to 1."""
     total, whole = np.zeros(len(scene)), np.zeros(len(scene))
     cameras = [_counted(view.camera) for view in views]
     found = contributions_and_footprints(scene, cameras, settings, threads=threads)
@@ -287,7 +293,33 @@ def worth_keeping(
         total += pixels / (camera.width * camera.height)
         whole += footprints / (camera.width * camera.height)
     kept = total >= least_shown
-    return kept & (total >= least_visibility * whole) if least_visibility > 0 else kept
+    seen = kept & (total >= least_visibility * whole)
+    if math.isinf(most_changed) or (seen == kept).all():
+        return seen
+    return seen if change(scene, seen, cameras, settings, threads=threads) <= most_changed else kept
+
+
+def change(
+    scene: Gaussians,
+    kept: np.ndarray,
+    cameras: Sequence[Camera],
+    settings: RenderSettings,
+    *,
+    threads: int | None = None,
+) -> float:
+    """Mean squared difference, 0 to 1, of the cameras' pictures of a scene and of those of the splats `kept`,
+    (N,) bool."""
+    whole, workspace = parameters_of(scene), Workspace()
+    rest = Parameters(*(np.ascontiguousarray(array[kept]) for array in whole))
+    total, count = 0.0, 0
+    for camera in cameras:
+        shown, left = (
+            draw_frame(one, camera, settings, workspace, threads=threads).image[..., :3].clip(0, 1)
+            for one in (whole, rest)
+        )
+        total += float(((shown - left) ** 2).sum(dtype=np.float64))
+        count += shown.size
+    return total / max(count, 1)
 
 
 def passing(

@@ -21,6 +21,7 @@ from splatview.trainer.exposure import Exposures
 from splatview.trainer.free_space import (
     FEW_OF,
     LOOK_STEPS,
+    MOST_CHANGED,
     clear,
     passing,
     past_free_space,
@@ -530,6 +531,8 @@ class Trainer(Editing):
                 self.render_settings,
                 least_shown=settings.least_shown,
                 least_visibility=settings.least_visibility,
+                # Half-way, what changes by it is learnt anew.
+                most_changed=MOST_CHANGED if self.scene_progress >= 1 else math.inf,
                 threads=self.threads,
             )
             if "sky" in self.state:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from splatview.trainer.free_space import (
     GONE,
     MAX_SIZE,
     MAX_SIZE_OF_OBJECTS,
+    change,
     limit_sizes,
     nearest_depths,
     passing,
@@ -275,6 +277,48 @@ def test_what_hides_behind_others(views: list[TrainView], start: Parameters, mak
     for least, kept in ((0.0, True), (0.05, False)):
         found = worth_keeping(*given, least_shown=0, least_visibility=least)
         assert found.tolist() == [True, kept, True]
+
+
+def shining(view: TrainView, count: int) -> Parameters:
+    """Before a photo's camera a dark splat, through which little comes, and so many bright ones behind it."""
+    parameters = Parameters(
+        means=np.stack([before(view, 3.0)] + [before(view, 3.3)] * count).astype(np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (count + 1, 1)),
+        log_scales=np.full((count + 1, 3), np.log(0.05), np.float32),
+        opacity_logits=np.zeros(count + 1, np.float32),
+        sh=np.full((count + 1, 1, 3), 3.0, np.float32),
+    )
+    parameters.log_scales[0], parameters.opacity_logits[0], parameters.sh[0] = 0.0, 4.0, -1.7
+    return parameters
+
+
+def test_what_hides_stays_where_pictures_would_change(views: list[TrainView], make_trainer) -> None:
+    """Of each bright splat a photo shows a fiftieth, and all together it would miss."""
+    scene = shining(views[0], 6)
+    trainer = Trainer(TrainViews(views[:1], 0), scene, 3.0, make_trainer().settings)
+    ball, settings = trainer.snapshot(), trainer.render_settings
+
+    def kept(most_changed: float = math.inf) -> list[bool]:
+        given = ball, views[:1], settings
+        return worth_keeping(
+            *given, least_shown=0.0, least_visibility=0.05, most_changed=most_changed
+        ).tolist()
+
+    front = [True] + [False] * 6
+    assert kept() == front
+    by = change(ball, np.array(front), [views[0].camera], settings)
+    assert 1e-8 < by < 1e-3
+    assert kept(1.01 * by) == front
+    assert all(all(kept(most)) for most in (0.99 * by, 0.0, math.nan))
+
+
+def test_nothing_is_changed_by_what_nothing_shows(views: list[TrainView], start: Parameters, make_trainer):
+    trainer = Trainer(TrainViews(views, 0), with_strays(start), 3.0, make_trainer().settings)
+    scene, settings = trainer.snapshot(), trainer.render_settings
+    kept = worth_keeping(scene, views, settings, least_shown=2e-6, least_visibility=0.0)
+    cameras = [view.camera for view in views]
+    assert not kept.all() and change(scene, kept, cameras, settings) < 1e-9
+    assert change(scene, np.zeros(len(scene), np.bool_), cameras, settings) > 1e-4
 
 
 def test_what_is_in_the_sky_stays(views: list[TrainView], start: Parameters, make_trainer) -> None:

@@ -112,7 +112,7 @@ PUBLIC = {
     "imp": PublicCapture("judge", "5697526/NeRF-TensoRF", "images", 5, poses=POSES_JSON),
     "bear": PublicCapture("judge", "ConsideringName/upload-files", "images", 4),
     "bedroom": PublicCapture("judge", "Stam21/GaussianSplattingExample", "data/images", 2, every=6),
-    "engine": PublicCapture("judge", "mlieschang1007/1014_project", "images", 5, poses="sparse/0"),
+    "engine": PublicCapture("judge", "mlieschang1007/1014_project", "images", 5),
     "museum": PublicCapture("judge", "vork/alexanderTheGreat", "images", 12),
     "bronze": PublicCapture("judge", "vork/ethiopianHead", "images", 16, poses=POSES_BOUNDS, cut_out=True),
 }
