@@ -22,7 +22,14 @@ PIXELS_PER_SPLAT_UNTIMED = 30
 SPLATS_FOR_A_MINUTE = 35_000
 """What a minute can train; longer runs by the square root, as steps become slower too. Twice as many bring
 little for files and frames of twice the size: `miku` -0.14 dB, `playbot RGBA 100` +0.16, `lego` +0.02;
-after three minutes 0.00, +0.21, +0.14 (split 0). 20,000 cost `miku` 0.26."""
+after three minutes 0.00, +0.21, +0.14 (split 0). 20,000 cost `miku` 0.26.
+
+Dropped: after three minutes as many as after one, 25,000 to 35,000, where more learn by heart. `beer` (split
+1) 27.94 in place of 27.35 dB, `spot RGBA 60` 48.04 of 47.27, `imp` 22.40 of 22.08, `mouse` (split 1) 26.58 of
+26.40, `cat` 37.39 of 37.34, but `miku 40 far` (split 2) 27.40 of 27.45, `liberty` 22.56 of 22.60, `mug` 30.36
+of 30.51, `skull RGBA 100` 34.00 of 34.17, `playbot close 80` 28.05 of 28.30, `playbot RGBA 100` 38.50 of
+38.94, `gum` 26.49 of 26.95. How faint splats are does not tell which: no growth while half of them are
+fainter than 0.065, `beer` 27.54 (9,030 splats), `mug` 30.24 (17,239)."""
 
 ONCE_PIXELS, MOST_DETAIL = 120e3, 2.0
 """Pixels that show a scene once, from which on there are more, by the square root, and how many times as many

@@ -283,7 +283,7 @@ def shining(view: TrainView, count: int) -> Parameters:
     """Before a photo's camera a dark splat, through which little comes, and so many bright ones behind it."""
     parameters = Parameters(
         means=np.stack([before(view, 3.0)] + [before(view, 3.3)] * count).astype(np.float32),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (count + 1, 1)),
+        quats=np.tile(np.array([1, 0, 0, 0], np.float32), (count + 1, 1)),
         log_scales=np.full((count + 1, 3), np.log(0.05), np.float32),
         opacity_logits=np.zeros(count + 1, np.float32),
         sh=np.full((count + 1, 1, 3), 3.0, np.float32),
