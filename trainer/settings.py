@@ -133,7 +133,8 @@ class TrainSettings(StrategySettings):
     and as the run does; 0: what none shows goes nowhere. See `free_space`."""
     least_visibility: float = LEAST_VISIBILITY
     """Share of what a splat would contribute to the photos with nothing before it, that it must contribute,
-    or it goes too; 0: what hides behind others may stay. See `free_space`."""
+    or it goes too, at the end only where photos do not miss it; 0: what hides behind others may stay. See
+    `free_space`."""
     most_of_one: float = MOST_OF_ONE
     """Share of a splat's contributions to all photos, of which one photo may have more only where nothing
     that others show is behind it: else it goes as the run ends, unless the photos are met so well that
