@@ -15,6 +15,7 @@ from splatview.scene.captures import Capture
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.scene.effects.overrides import settings_for as scene_settings
 from splatview.scene.formats import load_scene, save_scene
+from splatview.trainer import free_space
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import PASSING
 from splatview.trainer.free_space import (
@@ -310,6 +311,26 @@ def test_what_hides_stays_where_pictures_would_change(views: list[TrainView], ma
     assert 1e-8 < by < 1e-3
     assert kept(1.01 * by) == front
     assert all(all(kept(most)) for most in (0.99 * by, 0.0, math.nan))
+
+
+def test_of_many_photos_some_tell_what_would_change(
+    views: list[TrainView], make_trainer, monkeypatch
+) -> None:
+    """Both of two photos, or the first alone where both have too many pixels."""
+    scene = shining(views[0], 6)
+    trainer = Trainer(TrainViews(views[:2], 0), scene, 3.0, make_trainer().settings)
+    ball, settings, looked_at = trainer.snapshot(), trainer.render_settings, []
+
+    def changed(scene, kept, cameras, settings, **how) -> float:
+        looked_at.append([camera.name for camera in cameras])
+        return change(scene, kept, cameras, settings, **how)
+
+    monkeypatch.setattr(free_space, "change", changed)
+    for pixels in (free_space.COMPARED_PIXELS, 1):
+        monkeypatch.setattr(free_space, "COMPARED_PIXELS", pixels)
+        worth_keeping(ball, views[:2], settings, least_shown=0.0, least_visibility=0.5, most_changed=1.0)
+    names = [view.camera.name for view in views[:2]]
+    assert looked_at == [names, names[:1]]
 
 
 def test_nothing_is_changed_by_what_nothing_shows(views: list[TrainView], start: Parameters, make_trainer):
