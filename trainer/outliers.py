@@ -39,7 +39,8 @@ DECIDED_AT, DECIDED_BY = 0.1, 0.3
 has been learnt by heart, and nothing is left out."""
 
 LEAST_ROUNDS = 3
-"""Before, there is no scene yet that a photo could disagree with."""
+"""Before, there is no scene yet that a photo could disagree with. A minute of `imp` leaves out six photos of
+53, four of which three minutes keep; dropped: after eight looks, the same six (20.31 and 20.35 dB)."""
 
 FEWEST_PHOTOS = 8
 """Of fewer nobody could say which are the others."""
