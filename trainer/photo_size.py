@@ -186,10 +186,10 @@ def automatic_growth_batch(
     26.64 and 26.65 (two runs), `field` (0.059) 29.01 and 29.17; by four all along `fruit` (0.068) 28.52 and
     28.80, `games` (0.063) 28.08 and 28.04; four from half of the run on, 29.90 on `mug`. Of what is met
     better `fox` (0.049) gains 0.37, but `mouse` (0.055) loses 0.34 (two runs), `coke` (0.019) 0.31 and
-    `carton` (0.044) 0.08: the least loss is between. Judged by `bedroom` (0.060),
-    25.90 and 25.94, and `museum` (0.112), 19.55 and 19.15, SSIM 0.679 and 0.687. Ten minutes of
-    `beer` so, from a tenth on, have 24.57. What tells it no better: how much of a splat's gradient is alike
-    from step to step. Dropped: four all along, `mug` 30.49, though `beer` (split 1) has 27.59 of 27.35.
+    `carton` (0.044) 0.08: the least loss is between. Judged by `bedroom` (0.060), 25.90 and 25.94, and
+    `museum` (0.112), 19.55 and 19.15, SSIM 0.679 and 0.687. Ten minutes of `beer` so, from a tenth on, have
+    24.57. What tells it no better: how much of a splat's gradient is alike from step to step. Dropped: four
+    all along, `mug` 30.49, though `beer` (split 1) has 27.59 in place of 27.35.
     """
     if minutes is None or not everywhere or photos < FEWEST_FOR_FAST:
         return 1
