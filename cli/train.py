@@ -367,8 +367,9 @@ def make_parser() -> Parser:
     group.add_argument(
         "--ensemble",
         choices=("auto", "off"),
-        help="where photos are few and steps end before the minutes do, train other scenes, and a last one"
-        " that learns from all of them (default: auto)",
+        help="train other scenes, and a last one that learns from all of them: where photos are few and steps"
+        " end before the minutes do, or where photos that are withheld for a while show that one scene learns"
+        " single ones by heart (default: auto)",
     )
     group.add_argument(
         "--sky",

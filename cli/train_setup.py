@@ -56,7 +56,7 @@ from splatview.trainer.memory import (
     sizes_of_capture,
 )
 from splatview.trainer.photo_size import SizeChoice, automatic_batch, automatic_growth_batch
-from splatview.trainer.recipe import LEAST_LIMIT, MEMBERS, automatic_steps
+from splatview.trainer.recipe import LEAST_LIMIT, automatic_steps, most_scenes
 from splatview.trainer.run import Outputs
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.strategies import STRATEGIES
@@ -215,7 +215,7 @@ def _prepare(
             more["ensemble"] = checkpoint.settings.ensemble
         elif timed is not None and options.ensemble != "off" and options.plugin is None and group.size == 1:
             photos = sizes.trained / max(sizes.largest, 1)  # of one size, or more than so many
-            more["ensemble"] = MEMBERS if automatic_steps(round(photos)) is not None else 1
+            more["ensemble"] = most_scenes(round(photos), timed, machine.threads)
         return _room_for(sizes, bound, options, checkpoint, **more)
 
     size = SizeChoice(asked_size, options.minutes, machine.threads, room_for)
@@ -239,9 +239,8 @@ def _prepare(
     seed = options.seed or 0 if checkpoint is None else checkpoint.settings.seed
     views, held_out = TrainViews(train_views(capture.train), seed), train_views(capture.held_out)
     known = checkpoint.settings if checkpoint else None
-    # Where photos are empty, what is withheld, and what is masked are more numbers for their pixels.
+    # Where photos are empty, and what is masked, are more numbers for their pixels.
     more = float((known is None or known.backdrop == "auto") and find_backdrop(views.all) is not None)
-    more += known is not None and known.withheld > 0
     more += LARGEST_SHARE * (options.passing != "stay" if known is None else known.transients == "auto")
     if more:
         sizes = sizes_of_capture(capture)

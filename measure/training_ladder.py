@@ -84,7 +84,6 @@ TRAINING_RUNGS: tuple[TrainingRung, ...] = (
     *_rungs("elongation", free={"max_aspect": math.inf}),
     *_rungs("steps", as_many_as_fit={"iterations": None}),
     *_rungs("several scenes", one_alone={"ensemble": 1}),
-    *_rungs("withheld blocks", six_percent={"withheld": 0.06}),
     *_rungs("photos of a step", one={"batch": 1}, two={"batch": 2}),
     *_rungs("optimiser", all_splats={"visible_only": False}),
     *_rungs("precision", float64={"precision": "float64"}),

@@ -87,8 +87,7 @@ def save_checkpoint(trainer: Trainer, path: Path, notes: dict[str, Any] | None =
             arrays[f"control.{STATE_NAMES.get(name, name)}"] = np.atleast_1d(value)
     arrays |= {f"exposure.{name}": array for name, array in trainer.exposures.state().items()}
     arrays |= {f"shading.{name}": array for name, array in trainer.shadings.state().items()}
-    evidence = trainer.resolution.state() | trainer.outliers.state() | trainer.withheld.state()
-    evidence |= trainer.transients.state()
+    evidence = trainer.resolution.state() | trainer.outliers.state() | trainer.transients.state()
     evidence["nearest_depths"] = trainer.nearest_depths
     means = optimizer.param_groups[0]
     evidence["usual"] = np.array([*means["middle"], means["distance"]])
@@ -173,8 +172,6 @@ def restore(trainer: Trainer, checkpoint: Checkpoint) -> None:
     if "outliers" in checkpoint.evidence:
         trainer.outliers.restore(checkpoint.evidence)
         trainer.leave_out(trainer.outliers.left_out)
-    if "withheld" in checkpoint.evidence:
-        trainer.withheld.restore(checkpoint.evidence)
     if "transients" in checkpoint.evidence:
         trainer.transients.restore(checkpoint.evidence)
     trainer.mask()

@@ -34,7 +34,7 @@ from splatview.trainer.shading import Shadings
 from splatview.trainer.sky import Sky
 from splatview.trainer.strategies.mcmc import LEAST_REG
 from splatview.trainer.transients import Transients
-from splatview.trainer.withheld import CHECK_ROUNDS, GIVEN_BACK, Withheld
+from splatview.trainer.withheld import Withheld
 
 SCALE_RATIO = 3.0
 """Of the scales at which photos show the scene, from which on training is antialiased: see above."""
@@ -67,7 +67,7 @@ SURROUND = "surround"
 
 LONGEST = "longest splats"
 
-BLOCKS = "withheld blocks"
+WITHHELD = "withheld photos"
 
 SCENES = "several scenes"
 
@@ -141,7 +141,7 @@ def capture_effects(
         _longest(settings),
         _covered(len(capture.train), settings, covered),
         _more_photos(settings),
-        _blocks(settings),
+        _withheld(settings),
         _scenes(settings),
         _few_photos(len(capture.train), settings),
     )
@@ -238,16 +238,13 @@ def with_frozen(effects: tuple[Effect, ...], frozen: int, count: int) -> tuple[E
 
 
 def with_withheld(effects: tuple[Effect, ...], withheld: Withheld) -> tuple[Effect, ...]:
-    """The same once blocks are given back, and the run goes on or settles."""
-    why = "until then the scene became better where photos did without them, or hardly worse"
-    if withheld.settled_at:
-        why = f"photos agreed about no more after {withheld.settled_at:,} steps: the run settled"
-    return tuple(
-        replace(effect, why=f"{effect.why.split(TOLD)[0]}{TOLD}{why}")
-        if effect.name == BLOCKS and effect.on
-        else effect
-        for effect in effects
-    )
+    """The same once withheld photos are given back."""
+    why = f"those trained on have gained {withheld.gap:.1f} dB more than those withheld: "
+    by_heart = withheld.are_learnt_by_heart
+    why += "several scenes, as one learns single photos by heart" if by_heart else "one scene still learns"
+    if math.isnan(withheld.gap):
+        why = "nothing could be compared, or the scene was edited: one scene"
+    return tuple(replace(effect, why=why) if effect.name == WITHHELD else effect for effect in effects)
 
 
 def with_scenes(
@@ -258,7 +255,7 @@ def with_scenes(
     why = f"{members} from the same photos, and a last one that learns from them" if taught else ""
     if not taught:
         why = (
-            "one alone: there was no time for another, or its photos are met well"
+            "one alone: there was no time for another, or it still learns"
             if members == 1
             else "no time for one that learns: the first stays"
         )
@@ -281,9 +278,14 @@ def with_scenes(
 
 def _scenes(settings: TrainSettings) -> Effect:
     if settings.trains_several:
-        steps = f"{settings.iterations:,} steps"
+        steps = f"{settings.iterations:,} steps" if settings.iterations else ""
         if settings.shorter is not None:
             steps = f"{settings.shorter[0]:,} steps, or {steps} where photos are met well,"
+            if settings.withheld > 0:
+                steps = (
+                    "one is trained to the end, or, if withheld photos speak for it,"
+                    f" {settings.shorter[0]:,} steps"
+                )
         why = (
             f"{steps} end a scene: others follow, {settings.ensemble} in all at most,"
             " and one that learns from them, as far as there is time"
@@ -291,7 +293,7 @@ def _scenes(settings: TrainSettings) -> Effect:
     else:
         why = "one is trained to the end of the run"
     saving = Saving(what="as many steps again for each, and pictures of all of them")
-    return Effect(name=SCENES, on=settings.trains_several, why=why, saving=saving)
+    return Effect(name=SCENES, on=settings.trains_several and not settings.withheld, why=why, saving=saving)
 
 
 def _more_photos(settings: TrainSettings) -> Effect:
@@ -306,12 +308,13 @@ def _more_photos(settings: TrainSettings) -> Effect:
     return Effect(name=MORE_PHOTOS, on=False, why=why, saving=saving)
 
 
-def _blocks(settings: TrainSettings) -> Effect:
-    why = f"{settings.withheld:.0%} of each photo until {GIVEN_BACK:.0%} of the run"
-    if not settings.withheld:
-        why = "none was asked for"
-    saving = Saving(what=f"a picture of each photo's view, every {CHECK_ROUNDS} rounds of photos")
-    return Effect(name=BLOCKS, on=settings.withheld > 0, why=why, saving=saving)
+def _withheld(settings: TrainSettings) -> Effect:
+    tries = settings.trains_several and settings.withheld > 0
+    why = "none: photos or time are few, or one scene is asked for"
+    if tries:
+        why = f"{settings.withheld:.1%} of the photos for a while, to tell whether several scenes are better"
+    saving = Saving(what="two pictures of each photo that is withheld, and of as many others")
+    return Effect(name=WITHHELD, on=tries, why=why, saving=saving)
 
 
 def _passing(settings: TrainSettings) -> Effect:

@@ -371,6 +371,37 @@ def automatic_shorter(
     return min(MOST_SHORTER, steps) if least <= budget < steps else None
 
 
+FEWEST_TRIED, LEAST_TRIED = 16, 2_500
+"""Photos, and steps of each of several scenes, from which on a run withholds some of the photos to see
+whether it is to train several, see `automatic_tried`. Of fewer photos an eighth tells little."""
+
+SCENES_TRIED = 2.75
+"""Scenes that there is time for then: two, a last one that is half as long, as it goes on from the one before
+it, and some to spare."""
+
+
+def automatic_tried(
+    photos: int, steps: int | None, minutes: float, threads: int, of_a_minute: float = STEPS_OF_A_MINUTE
+) -> int | None:
+    """Steps of each of several scenes, where `automatic_shorter` asks for none, there is no time for several
+    of all `steps`, and photos are enough to withhold some, which then decide (`withheld`). None: nothing is
+    tried."""
+    in_all = of_a_minute * minutes * min(threads, MOST_THREADS) / 2
+    budget = in_all / SCENES_TRIED
+    if photos < FEWEST_TRIED or budget < LEAST_TRIED or (steps is not None and steps <= budget):
+        return None
+    # As many scenes as there are at most are longer, if there is time.
+    return round(max(min(budget, MOST_SHORTER), in_all / (MEMBERS + 1)))
+
+
+def most_scenes(photos: int, minutes: float, threads: int) -> int:
+    """Scenes that a run of so many photos and minutes trains at most, besides a last one, whatever its photos
+    show; 1: one alone."""
+    steps = automatic_steps(photos)
+    several = steps is not None or automatic_tried(photos, steps, minutes, threads) is not None
+    return MEMBERS if several else 1
+
+
 LEAST_UNMET, LEAST_OF_OBJECTS = 2_000, 80
 """Of the steps of photos of an object, and for each of them, that there should be time for: none had fewer
 that were tried. 28 photos of `milk`, which was turned in the light of a window, lose by one scene from one

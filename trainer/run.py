@@ -31,7 +31,6 @@ from splatview.trainer.checkpoint import save_checkpoint
 from splatview.trainer.counters import NothingSeen, PluginError, StepReport
 from splatview.trainer.distributed import PeerLost
 from splatview.trainer.effects import (
-    BLOCKS,
     EXPOSURE,
     FEW_PHOTOS,
     MORE_PHOTOS,
@@ -39,6 +38,7 @@ from splatview.trainer.effects import (
     PASSING,
     SCENES,
     TRANSIENTS,
+    WITHHELD,
     with_easing,
     with_exposure,
     with_frozen,
@@ -305,8 +305,9 @@ class TrainingRun:
         """One step, and what is due after it: an evaluation, a line of metrics, a checkpoint."""
         exposures, outliers = self.trainer.exposures, self.trainer.outliers
         undecided, unsure = not exposures.is_decided, not outliers.is_decided
-        watching, masked = not self.trainer.withheld.given_back, self.trainer.transients.is_decided
-        scenes = len(self.trainer.members)
+        masked, scenes = self.trainer.transients.is_decided, len(self.trainer.members)
+        withheld = self.trainer.withheld
+        watching = withheld.is_watching
         loss = self.trainer.loss
         unknown = loss is not None and loss.replaces is None
         report = self.trainer.step(self.seconds)
@@ -329,13 +330,9 @@ class TrainingRun:
             self._tell_transients()
         if not self._more_photos_told and "growth_batch" in self.trainer.state:
             self._tell_more_photos()
-        if watching and self.trainer.withheld.given_back:
-            self.effects = with_withheld(self.effects, self.trainer.withheld)
-            if self.trainer.withheld.settled_at:
-                self.on_note(
-                    f"{BLOCKS}: photos agree about no more than the scene has learnt: the run settles, and"
-                    f" ends after {self.trainer.settings.iterations:,} steps; --iterations asks for more"
-                )
+        if watching and not withheld.is_watching:
+            self.effects = with_withheld(self.effects, withheld)
+            self.on_note(next(f"{one.name}: {one.why}" for one in self.effects if one.name == WITHHELD))
         if self.trainer.done and self.trainer.settings.most_of_one < 1:
             self.effects = with_passing(self.effects, self.trainer.passed)
             if self.trainer.passed:

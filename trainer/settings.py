@@ -140,8 +140,8 @@ class TrainSettings(StrategySettings):
     that others show is behind it: else it goes as the run ends, unless the photos are met so well that
     nothing has to stand for missing ones (`full_reg_loss`); 1: all may stay. See `free_space`."""
     withheld: float = 0.0
-    """Share of the photos' pixels that a run does without at first, to see whether it still learns; 0: none.
-    It may then end sooner than after `iterations`. See `withheld`, which says what 0.06 costs and brings."""
+    """Share of the photos that a run does without at first, to see whether one scene is to take its time or
+    `shorter` ones follow; 0: none, `met_loss` decides. See `withheld` and `recipe.automatic_withheld`."""
     few_views: int = FEW_VIEWS
     """Splats that lie in the frames of at most so many photos stop learning after `few_views_rounds`, where
     there are more than five times as many photos; 0: none. See `free_space`."""
@@ -152,7 +152,7 @@ class TrainSettings(StrategySettings):
     their mean then teaches a last one, see `ensemble`. 1: one alone."""
     shorter: tuple[int, int] | None = None
     """Steps and splats of each of several scenes, where there is no time for several of `iterations` and
-    `max_splats`, unless photos are met well; None: those. See `recipe.automatic_shorter`."""
+    `max_splats`, unless one that takes its time still learns; None: those. See `recipe.automatic_shorter`."""
     met_loss: float = FULL_REG_LOSS
     """Photo loss, a running mean, below which photos are met well. See `recipe.automatic_met_loss`."""
     visible_only: bool = True
@@ -218,7 +218,8 @@ class TrainSettings(StrategySettings):
     @property
     def trains_several(self) -> bool:
         """Whether a run may train several scenes: one has an end before that of the minutes."""
-        return self.ensemble > 1 and None not in (self.iterations, self.minutes) and not self.withheld
+        ends = self.iterations is not None or self.shorter is not None
+        return self.ensemble > 1 and self.minutes is not None and ends
 
     def progress(
         self, iteration: int, seconds: float, prepared: float = 0.0, *, shorter: bool = False

@@ -67,6 +67,7 @@ from splatview.trainer.recipe import (
     automatic_sh_divisor,
     automatic_shorter,
     automatic_steps,
+    automatic_tried,
 )
 from splatview.trainer.settings import PAPER_ITERATIONS, TrainSettings
 from splatview.trainer.shading import automatic_shading
@@ -75,6 +76,7 @@ from splatview.trainer.stereo import contracted, stereo_points, thinned
 from splatview.trainer.trainer import Trainer
 from splatview.trainer.transients import LARGEST_SHARE
 from splatview.trainer.views import TrainViews, train_views
+from splatview.trainer.withheld import SHARE
 
 LEAST_FOUND, MOST_FOUND = 500, 20_000
 """Points by stereo that show a scene, fewer being chance matches; and those that are used: density control
@@ -145,15 +147,20 @@ def settings_for(
     if few_steps is not None and timed is not None and levels == HALF_THE_SIZE:
         unmet = None if everywhere else automatic_steps(photos, True, shown)
         fewer = automatic_shorter(photos, few_steps, timed, threads, unmet, of_a_minute)
+    withheld = 0.0
+    if fewer is None and timed is not None and levels == HALF_THE_SIZE:
+        fewer = automatic_tried(photos, iterations, timed, threads, of_a_minute)
+        withheld = SHARE if fewer else 0.0
     automatic: dict[str, Any] = {
         "batch": batch,
-        "growth_batch": 1 if fewer else growth_batch,
+        "growth_batch": growth_batch if withheld or not fewer else 1,
         "opacity_reg": weight,
         "scale_reg": weight,
         "full_reg_loss": FULL_REG_LOSS,
         "full_reg_opacity": automatic_full_reg_opacity(photos),
         "dropout": automatic_dropout(photos),
-        "ensemble": MEMBERS if few_steps is not None and timed is not None else 1,
+        "ensemble": MEMBERS if timed is not None and (few_steps is not None or fewer) else 1,
+        "withheld": withheld,
         "met_loss": automatic_met_loss(covered, everywhere),
         "shorter": fewer and (fewer, min(limit, automatic_limit(pixels, timed, fewer, once))),
         "max_aspect": automatic_max_aspect(photos),
@@ -176,10 +183,10 @@ def settings_for(
 
 
 def more_planes(views: TrainViews, settings: TrainSettings) -> float:
-    """Numbers for each pixel besides those of the photos as they are read: where they are empty, what is
-    withheld, and what is masked of those that others contradict."""
+    """Numbers for each pixel besides those of the photos as they are read: where they are empty, and what is
+    masked of those that others contradict."""
     empty = settings.backdrop == "auto" and find_backdrop(views.all) is not None
-    return empty + (settings.withheld > 0) + (settings.transients == "auto") * LARGEST_SHARE
+    return empty + (settings.transients == "auto") * LARGEST_SHARE
 
 
 def memory_of(capture: Capture, settings: TrainSettings, views: TrainViews) -> RunMemory:
@@ -240,7 +247,7 @@ def trainer_for(
         views,
         with_sky(parameters, sky),
         extent,
-        settings if kind is EnsembleTrainer else replace(settings, ensemble=1, shorter=None),
+        settings if kind is EnsembleTrainer else replace(settings, ensemble=1, shorter=None, withheld=0.0),
         centre=centre,
         threads=threads,
         group=group,

@@ -42,8 +42,8 @@ from splatview.trainer.strategies import STRATEGIES, Strategy
 from splatview.trainer.strategies.mcmc import ease_of_faint, need_of_reg
 from splatview.trainer.strategies.ops import State, raise_sh_degree
 from splatview.trainer.transients import Transients, agreed, find_transients
-from splatview.trainer.views import TrainView, TrainViews, joined
-from splatview.trainer.withheld import SETTLED, Withheld
+from splatview.trainer.views import TrainView, TrainViews
+from splatview.trainer.withheld import Withheld
 
 LOSS_SHARE = 0.01
 """Of a step in the running mean of the photo loss."""
@@ -123,7 +123,8 @@ class Trainer(Editing):
         """Splats of one photo alone that went as the run ended, see `free_space`; None: nobody has looked."""
         self.outliers = Outliers([view.camera.name for view in views.all], settings.outliers)
         self.transients = Transients([view.camera.name for view in views.all], settings.transients)
-        self.withheld = Withheld(views.all, settings.withheld, settings.seed)
+        self.withheld = Withheld(len(views), settings.withheld, settings.seed)
+        """Photos that tell whether several scenes are trained, see `ensemble`."""
         self.mask()
         self.resolution = ProgressiveResolution(views)
         """Size of the photos, where the recipe leaves it to evidence."""
@@ -158,8 +159,6 @@ class Trainer(Editing):
     def downscale(self) -> int:
         """The factor by which photos are smaller in the next step."""
         progress, schedule = self.scene_progress, self.settings.resolution
-        if self.withheld.coarse_is_over:
-            return 1
         if schedule is None:
             return self.resolution.factor_at(progress)
         return next((factor for until, factor in schedule if progress < until), 1)
@@ -192,7 +191,6 @@ class Trainer(Editing):
             counters.prepared = counters.seconds
         progress = self.scene_progress
         raise_sh_degree(splats, optimizer, max(settings.sh_degree_at(progress), splats.sh_degree))
-        self._watch_withheld(progress)
         self._decide_outliers(progress)
         self._decide_transients(progress)
         self._decide_exposures(progress)
@@ -414,7 +412,11 @@ class Trainer(Editing):
         if rows.all():
             raise InputError("no photo would be left to train on")
         self.outliers.left_out = rows
-        self.views.take(~rows)
+        self._take_photos()
+
+    def _take_photos(self) -> None:
+        """Steps look at all photos but those that are left out."""
+        self.views.take(~self.outliers.left_out)
 
     def _decide_outliers(self, progress: float) -> None:
         outliers = self.outliers
@@ -431,9 +433,8 @@ class Trainer(Editing):
             outliers.is_decided = True
 
     def mask(self) -> None:
-        """From now on steps take photos without what is withheld, and without what the others contradict."""
-        withheld = None if self.withheld.given_back else self.withheld.blocks
-        self.views.withhold(joined(withheld, self.transients.blocks(self.views.all)))
+        """From now on steps take photos without what the others contradict."""
+        self.views.withhold(self.transients.blocks(self.views.all))
 
     def _decide_transients(self, progress: float) -> None:
         if not self.transients.is_due(progress, self._rounds):
@@ -443,23 +444,6 @@ class Trainer(Editing):
             found = find_transients(*scene, self.render_settings, self.threads)
         self.transients.decide(agreed(found, self.group))
         self.mask()
-
-    def _watch_withheld(self, progress: float) -> None:
-        """Measures what is withheld now and then, and does what it tells. See `withheld`."""
-        step, looked = self.counters.iteration, (self.counters.photos, self.batch)
-        told = self.withheld.look(progress, step, looked, self.downscale, self._withheld_error)
-        if told == "settle":
-            self.change(iterations=math.ceil(step / SETTLED))
-        if told is not None:
-            self.mask()
-
-    def _withheld_error(self) -> float:
-        with self.clock.stage("withheld"):
-            exposure_of = self.exposures.of if self.exposures.is_on else None
-            scene = self.splats.arrays, self.views.all, self.render_settings
-            error = np.array([self.withheld.error(*scene, exposure_of, self.threads)])
-        self.group.add_up([error])  # processes must agree
-        return float(error[0]) / self.group.size
 
     @property
     def places(self) -> np.ndarray:

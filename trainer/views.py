@@ -230,13 +230,3 @@ def _without(view: TrainView, part: np.ndarray | None) -> TrainView:
     if part is None:
         return view
     return replace(view, mask=~part if view.mask is None else view.mask & ~part)
-
-
-def joined(
-    blocks: Sequence[np.ndarray | None] | None, others: Sequence[np.ndarray | None] | None
-) -> Sequence[np.ndarray | None] | None:
-    """Pixels of either, see `TrainViews.withhold`."""
-    if blocks is None or others is None:
-        return others if blocks is None else blocks
-    pairs = zip(blocks, others, strict=True)
-    return [other if one is None else one if other is None else one | other for one, other in pairs]

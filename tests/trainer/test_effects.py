@@ -16,7 +16,6 @@ from splatview.scene.captures.capture import Photo, PhotoStatistics, Pixels
 from splatview.scene.effects.appearance import antialiasing
 from splatview.scene.formats import load_scene
 from splatview.trainer.effects import (
-    BLOCKS,
     COVERED,
     FAR,
     FEW_PHOTOS,
@@ -30,6 +29,7 @@ from splatview.trainer.effects import (
     SKY,
     SURROUND,
     TRANSIENTS,
+    WITHHELD,
     Antialiased,
     capture_effects,
     model_for,
@@ -104,8 +104,7 @@ def test_each_effect_names_its_evidence():
     assert not plain["exposure of each photo"][0] and not plain["shading of each photo"][0]
     assert plain["SH bands"][1].startswith("band 1 from 3%, 2 from 7%, 3 from 10%")
     assert told(capture([2.0] * 4), sh_degree=0)["SH bands"][0] is False
-    assert not plain[BLOCKS][0] and plain[BLOCKS][1] == "none was asked for"
-    assert told(capture([2.0] * 4), withheld=0.06)[BLOCKS] == (True, "6% of each photo until 45% of the run")
+    assert not plain[WITHHELD][0] and plain[WITHHELD][1].startswith("none: photos or time are few")
 
     assert not plain[FAR][0] and plain[FAR][1].startswith("all move alike: photos are few")
     near = told(capture([2.0] * 4), far_from=1.0)[FAR]
@@ -122,7 +121,7 @@ def test_each_effect_names_its_evidence():
     )
     assert {name for name, (on, _) in rich.items() if on} == set(rich) - {
         "antialiased opacity",
-        BLOCKS,
+        WITHHELD,
         MORE_PHOTOS,
         SKY,
         SURROUND,

@@ -30,7 +30,7 @@ from splatview.trainer.transients import (
     find_transients,
     grown,
 )
-from splatview.trainer.views import TrainView, TrainViews, joined
+from splatview.trainer.views import TrainView, TrainViews
 
 EXTENT = 3.0
 SPOT = slice(14, 30), slice(20, 36)
@@ -179,7 +179,7 @@ def test_photos_that_are_left_out_say_nothing(views, start) -> None:
         assert [i for i, region in enumerate(found) if region.any()] == [3][: int(rows[3])]
 
 
-def test_regions_are_made_larger_and_joined() -> None:
+def test_regions_are_made_larger_and_closed() -> None:
     region = np.zeros((3, 4), np.bool_)
     region[1, 2] = True
     large = enlarged(region, 7, 9)
@@ -197,10 +197,25 @@ def test_regions_are_made_larger_and_joined() -> None:
     apart = np.zeros((60, 70), np.bool_)
     apart[30, [5, 60]] = True
     assert closed(apart).sum() == 2
-    assert joined(None, None) is None and joined([region], None) == [region]
-    parts = joined([region, None], [~region, region])
-    assert parts is not None and parts[1] is region
-    assert parts[0] is not None and parts[0].all()
+
+
+def test_steps_take_photos_without_their_parts_in_every_size_until_these_are_whole(
+    views: list[TrainView],
+) -> None:
+    taken = TrainViews(views, 0)
+    parts: list[np.ndarray | None] = [None] * len(views)
+    parts[2] = np.zeros(views[2].pixels.shape[:2], np.bool_)
+    parts[2][SPOT] = True
+    taken.withhold(parts)
+    for factor in (1, 2, 1):
+        for place in range(len(views)):
+            view = taken.at(place, factor)
+            assert (view.mask is None) == (view.camera.name != views[2].camera.name)
+            if view.mask is not None:
+                assert not view.mask.repeat(factor, 0).repeat(factor, 1)[SPOT].any() and view.mask.any()
+    assert list(taken.in_part) == [views[2].camera.name] and taken.all[2].mask is None
+    taken.withhold(None)
+    assert not taken.in_part and all(taken.at(place).mask is None for place in range(len(views)))
 
 
 def test_processes_mask_what_most_have_found() -> None:

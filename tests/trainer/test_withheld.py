@@ -1,4 +1,4 @@
-"""Withheld blocks: what a run does without, what they tell, and that they are given back."""
+"""Withheld photos: what a run does without, what they tell, and that they are given back."""
 
 from __future__ import annotations
 
@@ -13,198 +13,334 @@ import pytest
 
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import RenderSettings
-from splatview.scene.effects.effect import Effect, Saving
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
-from splatview.trainer.effects import BLOCKS
+from splatview.trainer.effects import SCENES, WITHHELD, capture_effects
+from splatview.trainer.ensemble import GOES_ON_AT, EnsembleTrainer
+from splatview.trainer.recipe import MEMBERS, automatic_tried, most_scenes
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
-from splatview.trainer.setup import memory_of, settings_for
-from splatview.trainer.trainer import Trainer
+from splatview.trainer.setup import settings_for
 from splatview.trainer.views import TrainView, TrainViews
 from splatview.trainer.withheld import (
-    CHECK_ROUNDS,
-    COARSE_RISE,
-    FULL_RISE,
-    GIVEN_BACK,
-    SETTLED,
+    COMPARED,
+    FEWEST,
+    LEAST_GAP,
+    MOST,
+    SHARE,
+    WITHHELD_FROM,
+    WITHHELD_UNTIL,
     Withheld,
 )
-
-from .conftest import EXTENT, capture_of
+from tests.trainer.conftest import EXTENT, VIEWS, capture_of
 
 SETTINGS = RenderSettings(background=(0.2, 0.2, 0.2))
+STEPS, SPLATS, MORE_SPLATS = 200, 150, 400
 make_settings: Any = TrainSettings
 
 
-def trainer_of(views: list[TrainView], start: Parameters, **settings: Any) -> Trainer:
-    options = {"iterations": 4000, "max_splats": 600, "background": (0.2, 0.2, 0.2), "withheld": 0.25}
-    return Trainer(TrainViews(views, 0), start, EXTENT, make_settings(**options | settings), threads=2)
+def trainer_of(views: list[TrainView], start: Parameters, **settings: Any) -> EnsembleTrainer:
+    """In a run of a minute several scenes of `STEPS` may be trained."""
+    options = {
+        "iterations": None,
+        "minutes": 1.0,
+        "ensemble": 4,
+        "shorter": (STEPS, SPLATS),
+        "withheld": SHARE,
+    }
+    options |= {"max_splats": MORE_SPLATS, "background": (0.2, 0.2, 0.2), "exposure": "off"}
+    return EnsembleTrainer(
+        TrainViews(views, 0), start, EXTENT, make_settings(**options | settings), threads=2
+    )
 
 
-def after(trainer: Trainer, steps: int) -> Trainer:
-    while not trainer.done and trainer.counters.iteration < steps:
-        trainer.step()
+def run(trainer: EnsembleTrainer, until: Callable[[], object], each: float = 0.06) -> EnsembleTrainer:
+    """Steps of so many seconds until something holds: by 0.06 there is time for 1,000 in a minute."""
+    while not until():
+        trainer.step(trainer.counters.seconds + each)
     return trainer
 
 
-def large(view: TrainView) -> TrainView:
-    """The same of many pixels, whatever they show."""
-    pixels = np.zeros((240, 320, 3), np.uint8)
-    return TrainView(view.camera.resized(320, 240), pixels)
+def watching(trainer: EnsembleTrainer) -> EnsembleTrainer:
+    return run(trainer, lambda: trainer.withheld.is_watching)
 
 
-def test_blocks_are_the_share_that_was_asked_for_and_no_others_by_the_seed(views: list[TrainView]) -> None:
-    photos = [large(view) for view in views[:5]]
-    found = Withheld(photos, 0.06, 0)
-    assert all(blocks.shape == (240, 320) for blocks in found.blocks)
-    assert np.mean(found.blocks) == pytest.approx(0.06, abs=0.02)
-    same, other = Withheld(photos, 0.06, 0), Withheld(photos, 0.06, 1)
-    assert all(np.array_equal(a, b) for a, b in zip(found.blocks, same.blocks, strict=True))
-    assert any(not np.array_equal(a, b) for a, b in zip(found.blocks, other.blocks, strict=True))
-    assert not np.array_equal(found.blocks[0], found.blocks[1])
+def decided(trainer: EnsembleTrainer) -> EnsembleTrainer:
+    return run(trainer, lambda: trainer.is_short_decided)
 
 
-def test_none_are_given_back_from_the_start(views: list[TrainView]) -> None:
-    nothing = Withheld(views, 0.0, 0)
-    assert nothing.given_back and not nothing.blocks
-    assert not any(nothing.is_due(looked, 1) for looked in range(2000))
+def finds(monkeypatch: pytest.MonkeyPatch, gap: float) -> None:
+    """Whatever is measured, this is the gap."""
+
+    def end(self: Withheld, *_: Any) -> None:
+        self.gap = gap
+        self.give_back()
+
+    monkeypatch.setattr(Withheld, "end", end)
 
 
-def test_the_error_is_that_of_the_blocks(views: list[TrainView], start: Parameters) -> None:
-    withheld = Withheld(views, 0.25, 0)
-    drawn = [draw_frame(start, view.camera, SETTINGS, Workspace()).image[..., :3] for view in views]
-    met = [
-        replace(view, pixels=(np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8))
-        for view, image in zip(views, drawn, strict=True)
-    ]
-    assert withheld.error(start, met, SETTINGS, None, 2) < 1e-5
-    others = [
-        replace(view, pixels=np.where(blocks[..., None], view.pixels, 255 - view.pixels))
-        for view, blocks in zip(met, withheld.blocks, strict=True)
-    ]
-    assert withheld.error(start, others, SETTINGS, None, 2) < 1e-5
-    off = [
-        replace(view, pixels=np.where(view.pixels < 128, view.pixels + 51, view.pixels - 51).astype(np.uint8))
-        for view in met
-    ]
-    assert withheld.error(start, off, SETTINGS, None, 2) == pytest.approx(0.04, rel=0.02)
-    # At the exposure of each photo.
-    offset = np.stack([np.zeros(3), np.full(3, 0.2)], axis=1)
-    lighter = [
-        replace(view, pixels=(np.clip(image + 0.2, 0, 1) * 255 + 0.5).astype(np.uint8))
-        for view, image in zip(views, drawn, strict=True)
-    ]
-    assert withheld.error(start, lighter, SETTINGS, lambda _: offset, 2) < 1e-5
-    masked = [replace(view, mask=~blocks) for view, blocks in zip(met, withheld.blocks, strict=True)]
-    assert math.isnan(withheld.error(start, masked, SETTINGS, None, 2))
+def test_a_sixth_is_withheld_of_the_photos_that_are_not_left_out(
+    views: list[TrainView], start: Parameters
+) -> None:
+    def begun(photos: int, seed: int = 0, left_out: int = 0) -> Withheld:
+        found = Withheld(photos, SHARE, seed)
+        some = [views[row % VIEWS] for row in range(photos)]
+        found.begin(start, some, SETTINGS, np.arange(photos) < left_out, 2)
+        return found
+
+    for photos, count in ((8, FEWEST), (48, 8), (200, MOST)):
+        found = begun(photos)
+        assert found.rows.sum() == count and found.is_watching
+        assert found.rows[found.compared[:count]].all() and not found.rows[found.compared[count:]].any()
+        assert len(found.compared) == len(set(found.compared)) == min(count + COMPARED, photos)
+    assert np.array_equal(begun(40).rows, begun(40).rows)
+    assert not np.array_equal(begun(40).rows, begun(40, seed=1).rows)
+    assert not begun(20, left_out=8).rows[:8].any()
+    # Of two photos one stays; of one none can be withheld.
+    assert begun(20, left_out=18).rows.sum() == 1 and not begun(20, left_out=19).is_watching
 
 
-def test_steps_do_without_the_blocks_in_every_size_until_they_are_given_back(views: list[TrainView]) -> None:
-    taken = TrainViews(views, 0)
-    whole = [taken.at(step, factor) for factor in (1, 2) for step in range(len(views))]
-    blocks = Withheld(views, 0.25, 0).blocks
-    taken.withhold(blocks)
-    of = {view.camera.name: part for view, part in zip(views, blocks, strict=True)}
-    for factor in (1, 2, 1):
-        for step in range(len(views)):
-            view = taken.at(step, factor)
-            assert view.mask is not None
-            full = view.mask.repeat(factor, 0).repeat(factor, 1)
-            assert not full[of[view.camera.name]].any()
-            assert full.any()
-    assert all(view.mask is None for view in taken.all)
-    taken.withhold(None)
-    again = [taken.at(step, factor) for factor in (1, 2) for step in range(len(views))]
-    assert all(
-        a.mask is None and np.array_equal(a.pixels, b.pixels) for a, b in zip(again, whole, strict=True)
-    )
+def test_when_photos_are_withheld() -> None:
+    withheld = Withheld(20, SHARE, 0)
+    assert not withheld.is_due(WITHHELD_FROM - 0.01, undecided=False)
+    assert withheld.is_due(WITHHELD_FROM, undecided=False)
+    assert not withheld.is_due(WITHHELD_FROM, undecided=True)
+    assert not withheld.is_due((WITHHELD_FROM + WITHHELD_UNTIL) / 2, undecided=False), "too late to tell"
+    withheld.compared = np.arange(3)
+    assert not withheld.is_due(WITHHELD_FROM, undecided=False), "once"
+    for share in (0.0, math.nan):
+        assert not Withheld(20, share, 0).is_due(WITHHELD_FROM, undecided=False)
 
 
-def test_a_stage_teaches_until_the_error_rises() -> None:
-    withheld = Withheld([], 0.0, 0)
-    assert withheld.teaches(0.02, 2) and withheld.teaches(0.01, 2)
-    assert withheld.teaches(0.01 * COARSE_RISE * 0.999, 2) and not withheld.teaches(
-        0.01 * COARSE_RISE * 1.001, 2
-    )
-    assert withheld.teaches(0.05, 1), "full size has hardly begun"
-    assert withheld.teaches(0.01 * FULL_RISE * 0.999, 1) and not withheld.teaches(0.01 * FULL_RISE * 1.001, 1)
-    assert withheld.teaches(math.nan, 1)
+def test_the_gap_is_how_much_more_photos_trained_on_have_gained(
+    views: list[TrainView], start: Parameters
+) -> None:
+    """Photos are what a scene shows, but for a constant: PSNR of each is known."""
+
+    def differ(by: np.ndarray) -> list[TrainView]:
+        found = []
+        for view, levels in zip(views, by, strict=True):
+            image = draw_frame(start, view.camera, SETTINGS, Workspace()).image[..., :3]
+            pixels = np.clip(image * 255 + 0.5, 0, 255 - 40).astype(np.uint8)
+            rows = np.add.outer(*map(np.arange, pixels.shape[:2])) % 2 == 0  # what no exposure explains
+            found.append(
+                replace(view, pixels=pixels + np.where(rows, 2 * levels, 0)[..., None].astype(np.uint8))
+            )
+        return found
+
+    withheld = Withheld(VIEWS, SHARE, 0)
+    nobody, hard = np.zeros(VIEWS, bool), np.random.default_rng(0).choice([8, 16], VIEWS)
+    withheld.begin(start, differ(hard), SETTINGS, nobody, 2)
+    gained = withheld.rows.copy()
+    withheld.end(start, differ(np.where(gained, hard, hard // 4)), SETTINGS, 2)
+    assert withheld.gap == pytest.approx(20 * math.log10(4), abs=0.7) and not withheld.is_watching
+    assert withheld.are_learnt_by_heart
+    was = withheld.gap
+    withheld.end(start, differ(hard), SETTINGS, 2)
+    assert withheld.gap == was, "nothing is withheld"
+    # One photo that has become far worse decides nothing.
+    withheld.rows = gained
+    withheld.end(start, differ(np.where(np.arange(VIEWS) == withheld.compared[0], 20, hard)), SETTINGS, 2)
+    assert withheld.gap == pytest.approx(0, abs=0.3)
 
 
-def test_what_is_withheld_cannot_be_changed_in_a_run(views: list[TrainView], start: Parameters) -> None:
+def test_photos_that_a_mask_hides_tell_nothing(views: list[TrainView], start: Parameters) -> None:
+    hidden = [replace(view, mask=np.zeros(view.pixels.shape[:2], np.bool_)) for view in views]
+    withheld = Withheld(VIEWS, SHARE, 0)
+    withheld.begin(start, hidden, SETTINGS, np.zeros(VIEWS, bool), 2)
+    withheld.end(start, hidden, SETTINGS, 2)
+    assert math.isnan(withheld.gap) and not withheld.is_watching and not withheld.are_learnt_by_heart
+
+
+def test_who_learns_by_heart() -> None:
+    withheld = Withheld(20, SHARE, 0)
+    for gap, expected in ((LEAST_GAP, True), (LEAST_GAP - 0.01, False), (math.nan, False)):
+        withheld.gap = gap
+        assert withheld.are_learnt_by_heart == expected
+
+
+def test_steps_do_without_them_until_it_is_decided(views: list[TrainView], start: Parameters) -> None:
+    trainer = watching(trainer_of(views, start))
+    assert WITHHELD_FROM <= trainer.scene_progress < WITHHELD_UNTIL
+    names = {views[row].camera.name for row in np.flatnonzero(trainer.withheld.rows)}
+    assert len(names) == FEWEST == VIEWS - len(trainer.views.taken)
+    assert not names & {view.camera.name for view in trainer.views.taken}
+    assert not names & {trainer.views.at(place).camera.name for place in range(200)}
+    decided(trainer)
+    assert len(trainer.views.taken) == VIEWS
+    assert math.isfinite(trainer.withheld.gap)
+    run(trainer, lambda: trainer.done)
+    assert not trainer.withheld.is_watching
+
+
+def test_far_from_others_several_scenes_are_trained(
+    views: list[TrainView], start: Parameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finds(monkeypatch, LEAST_GAP)
+    trainer = decided(trainer_of(views, start, batch=2))
+    assert trainer.is_short and trainer.batch == 1
+    run(trainer, lambda: trainer.members)
+    assert trainer.counters.iteration == STEPS and len(trainer.members[0].means) <= SPLATS
+    run(trainer, lambda: trainer.taught is not None)
+    count = len(trainer.members)
+    assert count > 1 and trainer.counters.iteration == count * STEPS
+    # The last one goes on from the one before it, until the minute is over.
+    assert trainer.scene_progress == pytest.approx(GOES_ON_AT, abs=0.02) and trainer.batch == 1
+    assert np.array_equal(trainer.splats.arrays.means, trainer.members[-1].means)
+    left = 60 - trainer.counters.seconds
+    run(trainer, lambda: trainer.counters.seconds > 60 - left / 2)
+    assert trainer.scene_progress == pytest.approx(1 - (1 - GOES_ON_AT) / 2, abs=0.02)
+    run(trainer, lambda: trainer.done)
+    assert trainer.counters.seconds == pytest.approx(60, abs=0.1) and len(trainer.members) == count
+    assert trainer.scene is trainer.splats and trainer.progress == 1
+
+
+@pytest.mark.parametrize("gap", [LEAST_GAP - 0.01, math.nan])
+def test_near_others_one_scene_goes_on_as_it_would(
+    views: list[TrainView], start: Parameters, monkeypatch: pytest.MonkeyPatch, gap: float
+) -> None:
+    finds(monkeypatch, gap)
+    trainer = decided(trainer_of(views, start, batch=2, least_shown=0.0, least_visibility=0.0))
+    assert not trainer.is_short and trainer.batch == 2
+    assert trainer.scene_progress == pytest.approx(WITHHELD_UNTIL, abs=0.01)
+    run(trainer, lambda: trainer.done)
+    assert len(trainer.splats) > 2 * SPLATS
+    assert len(trainer.members) == 1 and trainer.taught is None and trainer.counters.iteration > 4 * STEPS
+
+
+def test_an_edit_gives_them_back(views: list[TrainView], start: Parameters) -> None:
+    trainer = watching(trainer_of(views, start))
+    trainer.delete(trainer.splats.ids[:3])
+    assert not trainer.withheld.is_watching and len(trainer.views.taken) == VIEWS
+    assert not trainer.is_short and trainer.is_last
+
+
+def test_who_says_how_long_a_scene_is_gets_them_back(views: list[TrainView], start: Parameters) -> None:
+    trainer = watching(trainer_of(views, start))
+    trainer.change(iterations=900)
+    assert not trainer.withheld.is_watching and len(trainer.views.taken) == VIEWS
+    decided(trainer)
+    assert not trainer.is_short and math.isnan(trainer.withheld.gap)
+
+
+def test_photos_that_are_left_out_are_not_all(views: list[TrainView], start: Parameters) -> None:
+    trainer = watching(trainer_of(views, start))
+    trainer.leave_out(~trainer.withheld.rows)
+    assert not trainer.withheld.is_watching and len(trainer.views.taken) == FEWEST
+
+
+def test_a_resumed_run_goes_on_alike(views: list[TrainView], start: Parameters, tmp_path: Path) -> None:
+    trainer, path = watching(trainer_of(views, start)), tmp_path / "run.safetensors"
+    other = trainer_of(views, start)
+    for until in (lambda: True, lambda: trainer.is_short_decided):
+        run(trainer, until)
+        save_checkpoint(trainer, path)
+        restore(other, load_checkpoint(path))
+        assert np.array_equal(other.withheld.rows, trainer.withheld.rows)
+        assert other.views.names() == trainer.views.names() and len(other.views.taken) == len(
+            trainer.views.taken
+        )
+        assert np.array_equal([other.withheld.gap], [trainer.withheld.gap], equal_nan=True)
+        for _ in range(90):
+            for one in (trainer, other):
+                one.step(one.counters.seconds + 0.06)
+        assert trainer.is_short_decided
+        assert np.array_equal(other.splats.arrays.means, trainer.splats.arrays.means)
+
+
+def test_what_is_damaged_is_refused() -> None:
+    withheld = Withheld(9, SHARE, 0)
+    good = withheld.state()
+    for damage in (
+        {"rows": np.zeros(8, bool)},
+        {"rows": np.zeros(9)},
+        {"compared": np.array([9]), "before": np.zeros(1)},
+        {"compared": np.array([-1]), "before": np.zeros(1)},
+        {"before": np.zeros(2)},
+        {"gap": np.zeros(2)},
+    ):
+        with pytest.raises(ValueError, match="are not among its photos"):
+            withheld.restore(good | damage)
+    withheld.restore(good)
+
+
+def test_it_cannot_be_changed_in_a_run(views: list[TrainView], start: Parameters) -> None:
     with pytest.raises(ValueError, match="withheld cannot be changed in a run"):
         trainer_of(views, start).change(withheld=0.0)
 
 
-def test_a_run_that_learns_goes_on_and_gets_its_blocks_back(
-    views: list[TrainView], start: Parameters
-) -> None:
-    trainer = after(trainer_of(views, start), int(4000 * GIVEN_BACK) + 2)
-    assert trainer.withheld.given_back and not trainer.withheld.settled_at
-    assert trainer.settings.iterations == 4000
-    assert trainer.views.at(0).mask is None
-
-
-def test_a_run_whose_photos_do_not_agree_settles(views: list[TrainView], start: Parameters) -> None:
-    """Each shows noise of its own, in squares that splats can meet."""
-    rng = np.random.default_rng(2)
-    noise = [
-        replace(view, pixels=rng.integers(0, 256, (10, 12, 3)).astype(np.uint8).repeat(4, 0).repeat(4, 1))
-        for view in views
-    ]
-    trainer = after(trainer_of(noise, start, resolution=((0.3, 2),)), 4000)
-    settled = trainer.withheld.settled_at
-    assert 0 < settled < 4000 * GIVEN_BACK and settled % (CHECK_ROUNDS * len(views)) == 0
-    assert trainer.settings.iterations == math.ceil(settled / SETTLED) == trainer.counters.iteration
-    assert trainer.withheld.given_back and trainer.views.at(0).mask is None
-
-
-def test_a_resumed_run_goes_on_alike(views: list[TrainView], start: Parameters, tmp_path: Path) -> None:
-    steps = 2 * CHECK_ROUNDS * len(views) + 10
-    trainer = after(trainer_of(views, start), steps)
-    trainer.withheld.coarse_is_over = True
-    save_checkpoint(trainer, tmp_path / "run.safetensors")
-    checkpoint = load_checkpoint(tmp_path / "run.safetensors")
-    other = trainer_of(views, start)
-    restore(other, checkpoint)
-    assert np.array_equal(other.withheld.state()["withheld"], trainer.withheld.state()["withheld"])
-    assert other.withheld.least < math.inf and not other.withheld.given_back and other.downscale == 1
-    for _ in range(20):
-        trainer.step()
-        other.step()
-    assert np.array_equal(other.splats.arrays.means, trainer.splats.arrays.means)
-    trainer.withheld.given_back = True
-    trainer.views.withhold(None)
-    save_checkpoint(trainer, tmp_path / "run.safetensors")
-    restore(other, load_checkpoint(tmp_path / "run.safetensors"))
-    assert other.withheld.given_back and other.views.at(0).mask is None
-
-
-def test_only_who_asks_for_it_does_without(
+def test_the_recipe_withholds_where_photos_and_time_are_enough(
     views: list[TrainView], points: tuple[np.ndarray, np.ndarray]
 ) -> None:
-    capture, photos = capture_of(views, *points), TrainViews(views, 0)
-    recipe: Callable[..., TrainSettings] = settings_for
-    assert recipe(capture, photos, minutes=1.0).withheld == 0
-    chosen = recipe(capture, photos, minutes=1.0, withheld=0.06)
-    assert chosen.withheld == 0.06
+    def chosen(count: int, **fields: Any) -> TrainSettings:
+        some = [views[place % VIEWS] for place in range(count)]
+        found: Callable[..., TrainSettings] = settings_for
+        return found(capture_of(some, *points), TrainViews(some, 0), threads=2, **fields)
+
+    long = chosen(60, minutes=3.0)
     assert (
-        memory_of(capture, chosen, photos).photos > memory_of(capture, recipe(capture, photos), photos).photos
+        long.withheld == SHARE
+        and long.trains_several
+        and long.ensemble == MEMBERS
+        and long.iterations is None
     )
+    assert long.shorter is not None and long.shorter[0] == 3273 and long.shorter[1] <= long.max_splats
+    assert chosen(40, minutes=3.0).withheld == SHARE and chosen(40, minutes=3.0).iterations == 24_000
+    for settings in (
+        *(chosen(60, minutes=1.0), chosen(60, iterations=3000), chosen(60)),
+        *(chosen(15, minutes=3.0), chosen(60, minutes=3.0, resolution=((0.3, 4), (0.5, 2)), iterations=900)),
+    ):
+        assert settings.withheld == 0
+    assert not chosen(60, minutes=3.0, ensemble=1).trains_several
     for wrong in (math.nan, -0.1, 0.6):
         with pytest.raises(ValueError, match="withheld must be 0 to"):
-            recipe(capture, photos, withheld=wrong)
+            chosen(6, withheld=wrong)
 
 
-def test_a_run_says_what_blocks_have_told(views: list[TrainView], start: Parameters, tmp_path: Path) -> None:
-    trainer, notes = trainer_of(views, start), []
-    effect = Effect(name=BLOCKS, on=True, why="6% of each photo", saving=Saving())
+def test_how_long_scenes_are_that_are_tried() -> None:
+    assert automatic_tried(52, None, minutes=3, threads=2) == 3_273
+    assert automatic_tried(52, None, minutes=2, threads=2) is None  # 2,182 steps are few
+    assert automatic_tried(52, None, minutes=10, threads=2) == 4_200
+    assert automatic_tried(52, None, minutes=30, threads=2) == 10_000  # eight, a last one, and some to spare
+    assert automatic_tried(15, None, minutes=10, threads=2) is None
+    assert automatic_tried(26, 15_600, minutes=3, threads=2) == 3_273
+    assert automatic_tried(26, 15_600, minutes=10, threads=2) == 4_200
+    assert automatic_tried(26, 15_600, minutes=20, threads=2) is None  # several of all steps
+    assert automatic_tried(52, None, minutes=3, threads=2, of_a_minute=1_000) is None
+    assert [most_scenes(photos, 3, 2) for photos in (6, 26, 52)] == [MEMBERS] * 3
+    assert most_scenes(52, 1, 2) == 1
+
+
+def test_a_run_says_what_they_have_told(
+    views: list[TrainView],
+    start: Parameters,
+    points: tuple[np.ndarray, np.ndarray],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     outputs = Outputs(
         scene=tmp_path / "s.ply", checkpoint=tmp_path / "s.safetensors", metrics=None, pictures=tmp_path / "p"
     )
-    run = TrainingRun(trainer, [], outputs, started=0.0, effects=(effect,), on_note=notes.append)
-    trainer.withheld.settled_at = 1234
-    trainer.counters.iteration = 3000
-    run.step()
-    assert "after 1,234 steps" in run.effects[0].why and run.effects[0].why.startswith("6% of each photo")
-    assert any("ends after 4,000 steps; --iterations asks for more" in note for note in notes)
+    for gap, told in (
+        (5.25, "several scenes, as one learns single photos by heart"),
+        (1.0, "one scene still learns"),
+    ):
+        finds(monkeypatch, gap)
+        trainer, notes = trainer_of(views, start), []
+        effects = capture_effects(capture_of(views, *points), trainer.settings, "auto")
+        by_name = {effect.name: effect for effect in effects}
+        assert by_name[WITHHELD].on and by_name[WITHHELD].why.startswith("16.7% of the photos for a while")
+        assert not by_name[SCENES].on and by_name[SCENES].why.startswith(
+            f"one is trained to the end, or, if withheld photos speak for it, {STEPS} steps end a scene"
+        )
+        training = TrainingRun(trainer, [], outputs, started=0.0, effects=effects, on_note=notes.append)
+        monkeypatch.setattr(
+            TrainingRun, "seconds", property(lambda self: self.trainer.counters.seconds + 0.06)
+        )
+        while not trainer.is_short_decided:
+            training.step()
+        line = next(note for note in notes if note.startswith(WITHHELD))
+        assert f"have gained {gap:.1f} dB more than those withheld: {told}" in line
+        assert next(effect.why for effect in training.effects if effect.name == WITHHELD) in line
+        assert sum(note.startswith(WITHHELD) for note in notes) == 1
+    plain = capture_effects(capture_of(views, *points), make_settings(), "auto")
+    assert next(effect for effect in plain if effect.name == WITHHELD).on is False

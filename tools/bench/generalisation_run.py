@@ -333,6 +333,7 @@ def main() -> None:
         "early_loss": list(early.values()),
         "growth_batch": int(trainer.state.get("growth_batch", 0)),
         "scenes": len(getattr(trainer, "members", ())) + bool(pictures),
+        "withheld": trainer.withheld.gap if hasattr(trainer, "withheld") else None,
         "seconds": used,
         "exposure": trainer.exposures.is_on,
         "evidence": str(trainer.exposures.evidence),

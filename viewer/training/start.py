@@ -33,7 +33,7 @@ from splatview.trainer.memory import (
     sizes_of_files,
 )
 from splatview.trainer.photo_size import automatic_batch, automatic_growth_batch, downscale_for
-from splatview.trainer.recipe import LEAST_LIMIT, MEMBERS, automatic_limit, automatic_steps
+from splatview.trainer.recipe import LEAST_LIMIT, automatic_limit, automatic_steps, most_scenes
 from splatview.trainer.settings import TrainSettings
 from splatview.viewer import open as opening
 from splatview.viewer.camera import CameraLists
@@ -281,7 +281,7 @@ class TrainingStart(Feature):
                 automatic_growth_batch(minutes, steps, self.machine.threads),
             ),
             stereo=begins_by_stereo(TrainSettings.start, points=points, pixels=sizes.largest),
-            ensemble=MEMBERS if steps is not None and minutes is not None else 1,
+            ensemble=1 if minutes is None else most_scenes(photos, minutes, self.machine.threads),
             machine=self.machine,
             window=True,
         )
