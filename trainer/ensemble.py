@@ -377,6 +377,7 @@ class EnsembleTrainer(Trainer):
         arrays |= {f"withheld_{name}": array for name, array in self.withheld.state().items()}
         arrays |= {"sky": self.initial_sky, "finished_sky": self.finished_sky}
         arrays["first_photo"] = np.array([self.first_photo], np.float64)
+        arrays["adam_steps"] = np.array([self.optimizer.steps])
         for place, scene in enumerate((self.initial, *self.members)):
             arrays |= {f"{place}.{name}": np.ascontiguousarray(a) for name, a in scene._asdict().items()}
         return arrays
@@ -399,7 +400,9 @@ class EnsembleTrainer(Trainer):
         # Older files have no word about it, as all steps looked at as many.
         photos = state.get("first_photo", np.array([self.first * self.settings.batch]))
         self.first_photo = int(photos[0])
-        self.optimizer.steps = self.counters.iteration - self.first
+        # In older files each scene had begun with none.
+        steps = state.get("adam_steps", np.array([self.counters.iteration - self.first]))
+        self.optimizer.steps = int(steps[0])
         self.initial, self.members = scenes[0], scenes[1:]
         self.initial_sky, self.finished_sky = state["sky"], state["finished_sky"]
         if goes_on:

@@ -247,6 +247,25 @@ def test_a_resumed_run_goes_on_alike(views: list[TrainView], start: Parameters, 
         assert np.array_equal(other.splats.arrays.means, trainer.splats.arrays.means)
 
 
+def test_a_run_that_is_resumed_in_its_last_scene_goes_on_alike(
+    views: list[TrainView], start: Parameters, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    finds(monkeypatch, LEAST_GAP)
+    trainer, path = trainer_of(views, start), tmp_path / "run.safetensors"
+    run(trainer, lambda: trainer.taught is not None and trainer.scene_progress > GOES_ON_AT + 0.1)
+    save_checkpoint(trainer, path)
+    checkpoint = load_checkpoint(path)
+    other = EnsembleTrainer(
+        TrainViews(views, 0), checkpoint.parameters, EXTENT, checkpoint.settings, threads=2
+    )
+    restore(other, checkpoint)
+    assert other.learns_by_heart and other.scene_progress == trainer.scene_progress
+    for one in (trainer, other):
+        run(one, lambda one=one: one.done)
+    assert other.counters.iteration == trainer.counters.iteration
+    assert np.array_equal(other.splats.arrays.means, trainer.splats.arrays.means)
+
+
 def test_what_is_damaged_is_refused() -> None:
     withheld = Withheld(9, SHARE, 0)
     good = withheld.state()
