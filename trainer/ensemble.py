@@ -293,7 +293,9 @@ class EnsembleTrainer(Trainer):
     def _take(self, *, short: bool) -> None:
         self.is_short, self.is_short_decided = short, True
         self.strategy.settings = self._local(self.settings)
-        # Of a scene that takes its time less is over: density control goes on.
+        # Of a scene that takes its time less is over: density control goes on, where it would have waited for
+        # a share that lies behind its end. Three minutes of `biker front 24` have 44.10 dB in place of 44.03
+        # (47,000 and 41,000 splats), of `playbot RGBA 18` 31.64 of 31.62.
         self.state["refined_progress"] = min(self.state["refined_progress"], self.scene_progress)
         self.withheld.give_back()
         self._take_photos()

@@ -75,7 +75,7 @@ PUBLIC = {
     "beach": PublicCapture("choose", "pierotofy/drone_dataset_brighton_beach", "images", 10),
     "toy": PublicCapture("choose", "snavely/bundler_sfm", "examples/ET", 2),
     "bust": PublicCapture("choose", "alicevision/dataset_buddha", "buddha", 7),
-    "mouse": PublicCapture("judge", "Myhan1023/mouse-3d-reconstruction", "images", 6, poses="sparse/0"),
+    "mouse": PublicCapture("choose", "Myhan1023/mouse-3d-reconstruction", "images", 6, poses="sparse/0"),
     "statue": PublicCapture(
         "choose",
         "PhotogrammetryCourse/PhotogrammetryTasks2024",
@@ -94,7 +94,7 @@ PUBLIC = {
     "mother": PublicCapture(
         "choose", "vork/mother_child-photogrammetry", "images", 16, poses=POSES_BOUNDS, cut_out=True
     ),
-    "cat": PublicCapture("judge", "J-Aurora052/cattoy", "data/images", 4, poses="data/sparse"),
+    "cat": PublicCapture("choose", "J-Aurora052/cattoy", "data/images", 4, poses="data/sparse"),
     "office": PublicCapture("judge", "antoniocarevic/diplomski123", "images", 4, poses=POSES_JSON),
     "terrace": PublicCapture("choose", "Vincent7140/dataset_perso", "", 1, poses=POSES_JSON, every=2),
     "fruit": PublicCapture("judge", "tusharparimi/fruit-NeRF", "newfruit_small", 2, poses=POSES_JSON),
@@ -109,11 +109,11 @@ PUBLIC = {
     "gum": PublicCapture("judge", SCENE2MESH, "real_scene_data/gum/train", 3, poses=TRANSFORMS, every=5),
     "field": PublicCapture("judge", INSTANT_NGP, "images", 3, poses=POSES_JSON),
     "room": PublicCapture("judge", "mamechun/gs_data", "dense/0/images", 3, poses="dense/0/sparse"),
-    "imp": PublicCapture("judge", "5697526/NeRF-TensoRF", "images", 5, poses=POSES_JSON),
+    "imp": PublicCapture("choose", "5697526/NeRF-TensoRF", "images", 5, poses=POSES_JSON),
     "bear": PublicCapture("judge", "ConsideringName/upload-files", "images", 4),
     "bedroom": PublicCapture("judge", "Stam21/GaussianSplattingExample", "data/images", 2, every=6),
     "engine": PublicCapture("judge", "mlieschang1007/1014_project", "images", 5),
-    "museum": PublicCapture("judge", "vork/alexanderTheGreat", "images", 12),
+    "museum": PublicCapture("choose", "vork/alexanderTheGreat", "images", 12),
     "bronze": PublicCapture("judge", "vork/ethiopianHead", "images", 16, poses=POSES_BOUNDS, cut_out=True),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
