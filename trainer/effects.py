@@ -34,7 +34,7 @@ from splatview.trainer.shading import Shadings
 from splatview.trainer.sky import Sky
 from splatview.trainer.strategies.mcmc import LEAST_REG
 from splatview.trainer.transients import Transients
-from splatview.trainer.withheld import Withheld
+from splatview.trainer.withheld import COMPARED, Withheld
 
 SCALE_RATIO = 3.0
 """Of the scales at which photos show the scene, from which on training is antialiased: see above."""
@@ -310,10 +310,10 @@ def _more_photos(settings: TrainSettings) -> Effect:
 
 def _withheld(settings: TrainSettings) -> Effect:
     tries = settings.trains_several and settings.withheld > 0
-    why = "none: photos or time are few, or one scene is asked for"
+    why = "none: photos or time are few, or one scene or photos of a step are asked for"
     if tries:
         why = f"{settings.withheld:.1%} of the photos for a while, to tell whether several scenes are better"
-    saving = Saving(what="two pictures of each photo that is withheld, and of as many others")
+    saving = Saving(what=f"two pictures of each photo that is withheld, and of {COMPARED} others")
     return Effect(name=WITHHELD, on=tries, why=why, saving=saving)
 
 

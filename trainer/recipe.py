@@ -373,7 +373,7 @@ def automatic_shorter(
 
 FEWEST_TRIED, LEAST_TRIED = 16, 2_500
 """Photos, and steps of each of several scenes, from which on a run withholds some of the photos to see
-whether it is to train several, see `automatic_tried`. Of fewer photos an eighth tells little."""
+whether it is to train several, see `automatic_tried`. Of fewer photos a sixth tells little."""
 
 SCENES_TRIED = 2.75
 """Scenes that there is time for then: two, a last one that is half as long, as it goes on from the one before

@@ -332,7 +332,8 @@ class TrainingRun:
             self._tell_more_photos()
         if watching and not withheld.is_watching:
             self.effects = with_withheld(self.effects, withheld)
-            self.on_note(next(f"{one.name}: {one.why}" for one in self.effects if one.name == WITHHELD))
+            for why in (effect.why for effect in self.effects if effect.name == WITHHELD):
+                self.on_note(f"{WITHHELD}: {why}")
         if self.trainer.done and self.trainer.settings.most_of_one < 1:
             self.effects = with_passing(self.effects, self.trainer.passed)
             if self.trainer.passed:

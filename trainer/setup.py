@@ -148,7 +148,8 @@ def settings_for(
         unmet = None if everywhere else automatic_steps(photos, True, shown)
         fewer = automatic_shorter(photos, few_steps, timed, threads, unmet, of_a_minute)
     withheld = 0.0
-    if fewer is None and timed is not None and levels == HALF_THE_SIZE:
+    # Short scenes look at one photo a step: who has asked for more has one scene.
+    if fewer is None and timed is not None and levels == HALF_THE_SIZE and "batch" not in fields:
         fewer = automatic_tried(photos, iterations, timed, threads, of_a_minute)
         withheld = SHARE if fewer else 0.0
     automatic: dict[str, Any] = {

@@ -305,7 +305,7 @@ def test_the_recipe_withholds_where_photos_and_time_are_enough(
     assert long.shorter is not None and long.shorter[0] == 3273 and long.shorter[1] <= long.max_splats
     assert chosen(40, minutes=3.0).withheld == SHARE and chosen(40, minutes=3.0).iterations == 24_000
     for settings in (
-        *(chosen(60, minutes=1.0), chosen(60, iterations=3000), chosen(60)),
+        *(chosen(60, minutes=1.0), chosen(60, iterations=3000), chosen(60), chosen(60, minutes=3.0, batch=2)),
         *(chosen(15, minutes=3.0), chosen(60, minutes=3.0, resolution=((0.3, 4), (0.5, 2)), iterations=900)),
     ):
         assert settings.withheld == 0
@@ -361,5 +361,10 @@ def test_a_run_says_what_they_have_told(
         assert f"have gained {gap:.1f} dB more than those withheld: {told}" in line
         assert next(effect.why for effect in training.effects if effect.name == WITHHELD) in line
         assert sum(note.startswith(WITHHELD) for note in notes) == 1
+    unreported = trainer_of(views, start)
+    training = TrainingRun(unreported, [], outputs, started=0.0)
+    while not unreported.is_short_decided:
+        training.step()
+    assert unreported.withheld.gap == 1.0
     plain = capture_effects(capture_of(views, *points), make_settings(), "auto")
     assert next(effect for effect in plain if effect.name == WITHHELD).on is False
