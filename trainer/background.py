@@ -457,7 +457,9 @@ class BackgroundTraining:
             sh_degree=trainer.scene.sh_degree,
             left_out=trainer.outliers.names_left_out,
             in_part=trainer.views.in_part,
-            scene=1 if trainer.scene is trainer.splats else len(trainer.members) + 1,
+            scene=1
+            if trainer.scene is trainer.splats and trainer.taught is None
+            else len(trainer.members) + 1,
             **changes,
         )
 

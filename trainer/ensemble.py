@@ -115,13 +115,15 @@ class EnsembleTrainer(Trainer):
         """Whether no scene follows the present one."""
         self.is_short_decided = False
         """Whether it is certain that scenes end as `settings.shorter` says, or that they do not."""
+        self.goes_on = False
+        """Whether the last scene is in training, and goes on from the one before it, see `GOES_ON_AT`."""
         self.asked: set[str] = set()
         """Names of settings that somebody has chosen, which the last scene has too."""
 
     @property
     def scene_progress(self) -> float:
         counters, settings = self.counters, self.settings
-        if self.learns_by_heart and self.taught is not None:
+        if self.goes_on and self.learns_by_heart:
             left = 60 * (settings.minutes or 0.0) - self.begun
             over = min(max((counters.seconds - self.begun) / max(left, 1e-9), 0.0), 1.0)
             return GOES_ON_AT + (1 - GOES_ON_AT) * over
@@ -138,9 +140,13 @@ class EnsembleTrainer(Trainer):
 
     @property
     def progress(self) -> float:
-        """The share of the run that is over, 0 to 1: of as many scenes as there seems to be time for."""
+        """The share of the run that is over, 0 to 1: of as many scenes as there seems to be time for, or,
+        where the minutes end the last one, of these."""
         if self.done:
             return 1.0
+        if self.learns_by_heart:
+            counters, end = self.counters, 60 * (self.settings.minutes or 0.0)
+            return min((counters.seconds - counters.prepared) / max(end - counters.prepared, 1e-9), 1.0)
         if self.is_last:
             return (len(self.members) + self.scene_progress) / (len(self.members) + 1)
         return min((len(self.members) + self.scene_progress) / self._scenes_in_all(), 1.0)
@@ -196,6 +202,8 @@ class EnsembleTrainer(Trainer):
             self.first_photo = self.counters.photos - steps * self.settings.batch
         elif not self.members:  # an edit of the first one, which takes its time
             self._take(short=False)
+        else:  # of the last one, which goes on: pictures of the others would bring back what has gone
+            self.taught = None
 
     @property
     def learns_by_heart(self) -> bool:
@@ -250,7 +258,7 @@ class EnsembleTrainer(Trainer):
         self.members.append(copied(self.splats.arrays))
         several = len(self.views.taken) >= LEAST_PHOTOS
         two = 1 + self._length_of_last
-        if len(self.members) == 1 and not self.learns_by_heart:
+        if len(self.members) == 1:
             two *= LEAST_SHORTER
         another = several and len(self.members) < self.settings.ensemble and self._has_time_for(two)
         self.is_last = not another
@@ -267,7 +275,8 @@ class EnsembleTrainer(Trainer):
         self.first, self.begun = self.counters.iteration, self.counters.seconds
         self.first_photo = self.counters.photos
         self.passed = None
-        if self.learns_by_heart and self.is_last:  # it goes on from the scene before it
+        if self.learns_by_heart and self.is_last:
+            self.goes_on, self.finished = True, None  # it is whole all along, so that it is shown
             return
         ids = self.splats.new_ids(len(self.initial.means))
         self._put(copied(self.initial), ids, self.initial_sky)
@@ -291,8 +300,14 @@ class EnsembleTrainer(Trainer):
         return self.state.get("photo_loss", 0.0) < self.settings.met_loss
 
     def _take(self, *, short: bool) -> None:
+        progress, counters = self.scene_progress, self.counters
         self.is_short, self.is_short_decided = short, True
         self.strategy.settings = self._local(self.settings)
+        if self.learns_by_heart and self.settings.shorter is not None:
+            # By steps and seconds more of a short scene would be over: it goes on at the share where it was.
+            length = (60 * (self.settings.minutes or 0.0) - counters.prepared) / self._least_scenes
+            self.first = counters.iteration - round(progress * self.settings.shorter[0])
+            self.begun = counters.seconds - progress * length
         # Of a scene that takes its time less is over: density control goes on, where it would have waited for
         # a share that lies behind its end. Three minutes of `biker front 24` have 44.10 dB in place of 44.03
         # (47,000 and 41,000 splats), of `playbot RGBA 18` 31.64 of 31.62.
@@ -311,9 +326,12 @@ class EnsembleTrainer(Trainer):
         return 1 - GOES_ON_AT if self.learns_by_heart else 1.0
 
     def _has_time_for(self, scenes: float) -> bool:
-        """Whether so many more, of the length of those before, would be whole before the minutes are over."""
+        """Whether so many more, of the length of those before, would be whole before the minutes are over.
+        Where photos were withheld, of the present one's: the first had begun as one that takes its time."""
         counters, minutes = self.counters, self.settings.minutes or 0.0
         each = (counters.seconds - counters.prepared) / len(self.members)
+        if self.learns_by_heart:
+            each = counters.seconds - self.begun
         return SPARE * scenes * each <= 60 * minutes - counters.seconds
 
     def _scenes_in_all(self) -> int:
@@ -322,8 +340,7 @@ class EnsembleTrainer(Trainer):
         begun = len(self.members) + self.scene_progress
         each = max(counters.seconds - counters.prepared, 1e-9) / max(begun, 1e-9)
         fit = (60 * minutes - counters.prepared) / each
-        two = (1 + self._length_of_last) * SPARE
-        members = max(math.floor(fit - two), int(fit - 1 >= two * LEAST_SHORTER)) + 1
+        members = max(math.floor(fit - 2 * SPARE), int(fit - 1 >= 2 * SPARE * LEAST_SHORTER)) + 1
         members = max(min(self.settings.ensemble, members), len(self.members) + 1)
         return members + 1 if members >= 2 and len(self.views.taken) >= LEAST_PHOTOS else 1
 
@@ -379,6 +396,7 @@ class EnsembleTrainer(Trainer):
         arrays |= {f"withheld_{name}": array for name, array in self.withheld.state().items()}
         arrays |= {"sky": self.initial_sky, "finished_sky": self.finished_sky}
         arrays["first_photo"] = np.array([self.first_photo], np.float64)
+        arrays["goes_on"] = np.array([self.goes_on])
         arrays["adam_steps"] = np.array([self.optimizer.steps])
         for place, scene in enumerate((self.initial, *self.members)):
             arrays |= {f"{place}.{name}": np.ascontiguousarray(a) for name, a in scene._asdict().items()}
@@ -386,7 +404,7 @@ class EnsembleTrainer(Trainer):
 
     def restore_scenes(self, state: dict[str, np.ndarray]) -> None:
         """The inverse, once the rest is restored."""
-        first, self.begun, teaches, is_last, goes_on, *short = state["numbers"].tolist()
+        first, self.begun, teaches, is_last, waits, *short = state["numbers"].tolist()
         is_short, decided, self.edited, *asked = map(bool, (*short, *(True, False, False)[len(short) :]))
         self.asked = {name for name, chosen in zip(OF_STUDENT, asked, strict=False) if chosen}
         self.is_short, self.is_short_decided = is_short, decided
@@ -405,9 +423,12 @@ class EnsembleTrainer(Trainer):
         # In older files each scene had begun with none.
         steps = state.get("adam_steps", np.array([self.counters.iteration - self.first]))
         self.optimizer.steps = int(steps[0])
+        # Older files have no word about it either: the last scene went on then, but was not shown.
+        goes_on = state.get("goes_on", np.array([self.learns_by_heart and bool(teaches)]))
+        self.goes_on = bool(goes_on[0])
         self.initial, self.members = scenes[0], scenes[1:]
         self.initial_sky, self.finished_sky = state["sky"], state["finished_sky"]
-        if goes_on:
+        if waits:
             self.finished = Splats(copied(self.members[0]))
         if teaches:
             self._teach()

@@ -474,12 +474,13 @@ class TrainingRun:
             self.effects = with_scenes(self.effects, count, taught=False)
             return
         follows = "another one is trained from the same photos"
+        shown = "until that is done, the first one is shown and saved"
         if taught is not None:
             self.effects = with_scenes(self.effects, count, taught=True)
             follows = f"a last one learns from photos and from {len(taught)} pictures of all {count}"
+            shown = "it goes on from that, and is shown" if trainer.scene is trainer.splats else shown
         self.on_note(
-            f"{SCENES}: scene {count} is done at step {trainer.counters.iteration:,}; {follows}; until that"
-            " is done, the first one is shown and saved"
+            f"{SCENES}: scene {count} is done at step {trainer.counters.iteration:,}; {follows}; {shown}"
         )
 
     def _tell_transients(self) -> None:

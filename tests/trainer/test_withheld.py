@@ -178,14 +178,23 @@ def test_far_from_others_several_scenes_are_trained(
     finds(monkeypatch, LEAST_GAP)
     trainer = decided(trainer_of(views, start, batch=2))
     assert trainer.is_short and trainer.batch == 1
+    # The first goes on from the share of the run at which that was decided, as one of `STEPS`.
+    assert trainer.scene_progress == pytest.approx(WITHHELD_UNTIL, abs=0.01)
+    first = trainer.counters.iteration + STEPS * (1 - WITHHELD_UNTIL)
+    assert first > 1.5 * STEPS
     run(trainer, lambda: trainer.members)
-    assert trainer.counters.iteration == STEPS and len(trainer.members[0].means) <= SPLATS
+    assert trainer.counters.iteration == pytest.approx(first, abs=2)
+    assert len(start.means) < len(trainer.members[0].means) <= SPLATS
+    run(trainer, lambda: len(trainer.members) > 1)
+    assert trainer.counters.iteration == pytest.approx(first + STEPS, abs=2)
+    assert trainer.scene is not trainer.splats
     run(trainer, lambda: trainer.taught is not None)
     count = len(trainer.members)
-    assert count > 1 and trainer.counters.iteration == count * STEPS
-    # The last one goes on from the one before it, until the minute is over.
+    assert count > 1 and trainer.counters.iteration == pytest.approx(first + (count - 1) * STEPS, abs=2)
+    # The last one goes on from the one before it, until the minute is over, and is shown.
     assert trainer.scene_progress == pytest.approx(GOES_ON_AT, abs=0.02) and trainer.batch == 1
     assert np.array_equal(trainer.splats.arrays.means, trainer.members[-1].means)
+    assert trainer.scene is trainer.splats
     left = 60 - trainer.counters.seconds
     run(trainer, lambda: trainer.counters.seconds > 60 - left / 2)
     assert trainer.scene_progress == pytest.approx(1 - (1 - GOES_ON_AT) / 2, abs=0.02)
@@ -212,6 +221,23 @@ def test_an_edit_gives_them_back(views: list[TrainView], start: Parameters) -> N
     trainer.delete(trainer.splats.ids[:3])
     assert not trainer.withheld.is_watching and len(trainer.views.taken) == VIEWS
     assert not trainer.is_short and trainer.is_last
+
+
+def test_an_edit_of_the_last_scene_stays(
+    views: list[TrainView], start: Parameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is shown is edited, and trained on from photos alone: pictures would bring back what has gone."""
+    finds(monkeypatch, LEAST_GAP)
+    trainer = trainer_of(views, start)
+    run(trainer, lambda: trainer.taught is not None)
+    count = len(trainer.splats)
+    gone = trainer.splats.ids[: count // 2]
+    assert trainer.delete(gone) == count // 2
+    assert trainer.taught is None and not trainer.done and len(trainer.splats) == count - count // 2
+    at = trainer.scene_progress
+    run(trainer, lambda: trainer.done)
+    assert GOES_ON_AT <= at < 1 and trainer.counters.seconds == pytest.approx(60, abs=0.1)
+    assert not np.isin(gone, trainer.splats.ids).any()
 
 
 def test_who_says_how_long_a_scene_is_gets_them_back(views: list[TrainView], start: Parameters) -> None:

@@ -26,6 +26,7 @@ from splatview.trainer.trainer import Trainer
 from splatview.trainer.views import TrainViews, train_views
 from splatview.viewer.navigation import orbit
 from splatview.viewer.overlays import nearest, shows_cameras
+from splatview.viewer.panels.training import limits
 from splatview.viewer.state import AppState
 from splatview.viewer.training import live as actions
 from splatview.viewer.training import live as watching
@@ -445,3 +446,12 @@ def test_loaded_cameras_are_drawn_where_wanted(app):
     assert not shows_cameras(app)
     app.prefer(show_cameras=True)
     assert shows_cameras(app)
+
+
+def test_axes_of_curves_are_as_long_as_their_data_and_never_without_length() -> None:
+    assert limits(np.array([3.0, 1.0, 2.0])) == (1.0, 3.0)
+    assert limits(np.array([3.0, 1.0, 2.0]), 0.5) == (0.0, 4.0)
+    for alike in (0.0, 28.0, 28.0 + 1e-12, -3.0):
+        least, most = limits(np.full(4, alike))
+        assert least < alike < most
+        assert np.float32(least) < np.float32(most), "ImPlot ticks are of finite precision"

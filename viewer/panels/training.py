@@ -22,6 +22,9 @@ from splatview.viewer.training.live import LiveTraining, viewer_threads
 SMOOTHED = 60
 """The bright line of the loss is a mean over this share of the curve: photos differ, so steps jump."""
 
+MARGIN = 0.05
+"""Of the height of a curve, above and below it: a mark on the edge would be cut in half."""
+
 LOSS = ImVec4(0.93, 0.62, 0.33, 1)
 SCORE = ImVec4(0.45, 0.80, 0.50, 1)
 COUNT = ImVec4(*theme.ACCENT, 1)
@@ -249,28 +252,46 @@ def show_curves(app: AppState) -> None:
 
 
 def begin_curve(
-    title: str, over: str, size: tuple[float, float], points: int, *, logarithmic: bool = False
+    title: str,
+    over: str,
+    size: tuple[float, float],
+    x: np.ndarray,
+    values: np.ndarray,
+    *,
+    logarithmic: bool = False,
 ) -> bool:
-    """Opens a plot that follows its data, empty up to two points; true where it is to be filled."""
+    """Opens a plot as large as its data, `values` (N,) over `x` (N,), empty up to two points; true where it
+    is to be filled."""
     flags = implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_box_select
     if not implot.begin_plot(title, size, flags):
         return False
-    if points < 2:
+    if len(x) < 2:
         bare = implot.AxisFlags_.no_decorations
         implot.setup_axes("", "", bare, bare)
         return True
-    fit = implot.AxisFlags_.auto_fit | implot.AxisFlags_.no_label
-    implot.setup_axes(over, "", fit, fit)
+    implot.setup_axes(over, "", implot.AxisFlags_.no_label, implot.AxisFlags_.no_label)
     if logarithmic:
         implot.setup_axis_scale(implot.ImAxis_.y1, implot.Scale_.log10)
+    # ImPlot fits its axes by the frame before, and a window at rest draws none after the last point.
+    implot.setup_axis_limits(implot.ImAxis_.x1, *limits(x), implot.Cond_.always)
+    room = 0.0 if logarithmic else MARGIN
+    implot.setup_axis_limits(implot.ImAxis_.y1, *limits(values, room), implot.Cond_.always)
     return True
+
+
+def limits(values: np.ndarray, margin: float = 0.0) -> tuple[float, float]:
+    """Between which an axis shows these, (N,) with N > 0: with so much of their range on both sides, and
+    something where they are all alike, as no axis is without length."""
+    least, most = float(values.min()), float(values.max())
+    around = margin * (most - least) if least < most else 0.1 * abs(most) or 1.0
+    return least - around, most + around
 
 
 def loss_curve(training: LiveTraining, over: str, size: tuple[float, float]) -> None:
     x, values = training.thread.history.read(over, "loss")
     good = np.isfinite(values) & (values > 0)
     x, values = x[good], values[good]
-    if begin_curve("Loss", over, size, len(x), logarithmic=True):
+    if begin_curve("Loss", over, size, x, values, logarithmic=True):
         if len(x) > 1:
             faint = implot.Spec(line_color=ImVec4(LOSS.x, LOSS.y, LOSS.z, 0.3))
             implot.plot_line("loss", x, values, faint)
@@ -283,7 +304,7 @@ def score_curve(training: LiveTraining, over: str, size: tuple[float, float]) ->
     good = np.isfinite(values)
     x, values = x[good], values[good]
     title = f"Held-out PSNR, dB{f': {values[-1]:.2f}' if len(values) else ''}###psnr"
-    if begin_curve(title, over, size, len(x)):
+    if begin_curve(title, over, size, x, values):
         if len(x) > 1:
             marked = implot.Spec(
                 line_color=SCORE,
@@ -299,7 +320,7 @@ def score_curve(training: LiveTraining, over: str, size: tuple[float, float]) ->
 
 def count_curve(training: LiveTraining, over: str, size: tuple[float, float]) -> None:
     x, values = training.thread.history.read(over, "gaussians")
-    if begin_curve("Splats", over, size, len(x)):
+    if begin_curve("Splats", over, size, x, values):
         if len(x) > 1:
             implot.plot_line("splats", x, values, implot.Spec(line_color=COUNT, line_weight=2.0))
         implot.end_plot()
