@@ -27,7 +27,6 @@ from splatview.trainer.functional import Visibility
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.progressive import ProgressiveResolution
 from splatview.trainer.recipe import (
-    LEAST_CUT,
     LEAST_SCENES,
     LEAST_SHORTER,
     SCENES_TRIED,
@@ -291,8 +290,7 @@ class EnsembleTrainer(Trainer):
             self._take(short=self.settings.shorter is not None and self.withheld.are_learnt_by_heart)
             return
         photos, steps = len(self.views.taken), self.counters.iteration / self.scene_progress
-        shorter = self.settings.shorter[0] if self.settings.shorter else 0
-        least = min(LEAST_CUT * photos, LEAST_SHORTER * shorter)
+        least = LEAST_SHORTER * (self.settings.shorter[0] if self.settings.shorter else 0)
         self._take(short=photos >= LEAST_PHOTOS and steps >= least and not self.meets_photos)
 
     @property

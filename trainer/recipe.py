@@ -321,10 +321,14 @@ MEMBERS = 8
 """Scenes that teach a last one, at most, see `ensemble`. Ten minutes of the bench by three and eight, which
 leave less to chance: `kermit` 18.68 and 18.97 dB, `bust` 18.26 and 18.64 (three splits each, chosen)."""
 
-LEAST_SHORTER, LEAST_CUT, MOST_SHORTER = 2 / 3, 120, 4_200
+LEAST_SHORTER, MOST_SHORTER = 2 / 3, 4_200
 """Where there is time for no longer ones, see `automatic_shorter`: the share of a long scene's steps that
-there should be time for, or the steps per photo where one long scene does not fit either; and the steps of
-each of several scenes at most."""
+there should be time for; and the steps of each of several scenes at most."""
+
+
+FEWEST_TRIED, LEAST_TRIED = 16, 2_500
+"""Photos, and steps of each of several scenes, from which on a run withholds some of the photos to see
+whether it is to train several, see `automatic_tried`. Of fewer photos a sixth tells little."""
 
 
 def automatic_shorter(
@@ -336,22 +340,21 @@ def automatic_shorter(
     of_a_minute: float = STEPS_OF_A_MINUTE,
 ) -> int | None:
     """Steps of each of several scenes of so many photos, where `steps` for each are too many for the minutes
-    and fewer are not; None: `steps`, or one scene alone. `unmet`: for photos of an object, the steps that
-    others have, which are enough for these too where they are not met well, see `MET_OF_OBJECTS`;
-    `of_a_minute`: then, how many a minute has, see `photo_size.steps_of_a_minute`.
+    and fewer are not; None: `steps`, or one scene alone, or photos are enough to withhold some, which then
+    decide, see `automatic_tried`. `unmet`: for photos of an object, the steps that others have, which are
+    enough for these too where they are not met well, see `MET_OF_OBJECTS`; `of_a_minute`: then, how many a
+    minute has, see `photo_size.steps_of_a_minute`.
 
     Unless photos are met well: then a long one still learns. Ten minutes of the bench, split 0 each, by one
     long scene and by two or three short ones and a last: `statue` (21 photos, a loss of 0.067) 19.14 and
     21.04 dB, `demo hard 40` (26, 0.047, for they are noisy) 30.82 and 30.54, and of those whose loss is below
     0.02, `miku 40 far` (26, 0.016) 27.69 and 27.86, `demo lens 40` (26, 0.014) 37.36 and 35.45. Chosen on
-    these; judged by splits of `statue`: docs/training.md.
+    these; judged by splits of `statue`: docs/training.md. All of these go by withheld photos now.
 
-    Where the minutes also cut a long scene, shorter ones are better still: 20.90 and 21.62 dB after three of
-    `statue`, chosen on that split (judged by the others: docs/training.md). Two thirds, as after three
-    minutes, three splits, `beach` (0.72 of a long scene's steps) has 18.22 by one and 18.90 by several, but
-    `banana` (0.60) 26.78 and 27.00 with an SSIM of 0.743 and 0.724; both are chosen on. Longer ones are
-    fewer: ten minutes of `statue`, three splits, have 20.10 dB and an SSIM of 0.727 by two scenes of 7,350
-    steps, 20.46 and 0.711 by five of MOST_SHORTER (chosen), and three minutes 20.45 and 0.701.
+    After three minutes, three splits, `beach` (time for 0.72 of a long scene's steps) has 18.22 by one and
+    18.90 by several, but `banana` (0.60) 26.78 and 27.00 with an SSIM of 0.743 and 0.724; both are chosen on.
+    Longer ones are fewer: ten minutes of `statue`, three splits, have 20.10 dB and an SSIM of 0.727 by two
+    scenes of 7,350 steps, 20.46 and 0.711 by five of MOST_SHORTER (chosen).
 
     Dropped, before far means moved faster, against what `statue` learns by heart in one scene (19.56 dB, and
     28.00 on `miku 40 far`): a dropout of 0.2 and 0.3 in place of 0.12, 19.74 and 20.00, but `miku 40 far`
@@ -367,13 +370,9 @@ def automatic_shorter(
         fewer = min(unmet, round(budget), MOST_SHORTER)
         least = max(min(LEAST_UNMET, unmet), LEAST_OF_OBJECTS * photos)
         return fewer if least <= budget and fewer < steps else None
-    least = LEAST_CUT * photos if LEAST_SCENES * budget < steps else LEAST_SHORTER * steps
-    return min(MOST_SHORTER, steps) if least <= budget < steps else None
+    few = photos < FEWEST_TRIED
+    return min(MOST_SHORTER, steps) if few and LEAST_SHORTER * steps <= budget < steps else None
 
-
-FEWEST_TRIED, LEAST_TRIED = 16, 2_500
-"""Photos, and steps of each of several scenes, from which on a run withholds some of the photos to see
-whether it is to train several, see `automatic_tried`. Of fewer photos a sixth tells little."""
 
 SCENES_TRIED = 2.75
 """Scenes that there is time for then: two, a last one that is half as long, as it goes on from the one before
@@ -406,8 +405,9 @@ LEAST_UNMET, LEAST_OF_OBJECTS = 2_000, 80
 """Of the steps of photos of an object, and for each of them, that there should be time for: none had fewer
 that were tried. 28 photos of `milk`, which was turned in the light of a window, lose by one scene from one
 minute to three, 24.28 and 23.98 dB (three splits), and do not by scenes of 88 steps per photo, 24.27: chosen
-on it. Of objects that had judged LEAST_CUT none has so many photos; `guitar front 36` (24), which meets its
-own, takes its time as before (objects.json)."""
+on it. `guitar front 36` (24), which meets its own, takes its time as before (objects.json). Were photos of
+`milk` withheld, two of three splits would have several scenes, too, by a gap of 2.9 and 3.3 dB; the other
+has 1.7."""
 
 LEAST_SCENES = 3.25
 """Scenes that there must be time for where several are trained: two and one that learns from them, and some

@@ -519,19 +519,17 @@ def test_a_checkpoint_knows_how_long_scenes_are(make: Make, tmp_path: Path) -> N
 
 
 def test_how_short_scenes_are() -> None:
-    """4,200 steps, where there seems to be time for two thirds of a long scene's, or for 120 per photo and
-    for no long scene."""
-    assert automatic_shorter(21, 12_600, minutes=10, threads=2) == 4_200
-    assert automatic_shorter(21, 12_600, minutes=5, threads=4) == 4_200
-    assert automatic_shorter(23, 13_800, minutes=10, threads=2) == 4_200
-    assert automatic_shorter(26, 15_600, minutes=10, threads=2) is None  # a long one is better
-    assert automatic_shorter(26, 15_600, minutes=3, threads=2) is None  # one alone
-    assert automatic_shorter(26, 15_600, minutes=20, threads=2) is None  # several of all steps
-    assert automatic_shorter(21, 12_600, minutes=3, threads=2) == 4_200
-    assert automatic_shorter(24, 14_400, minutes=3, threads=2) is None
+    """4,200 steps at most, where there seems to be time for two thirds of a long scene's; more photos
+    go by some that are withheld."""
     assert automatic_shorter(12, 3_866, minutes=3, threads=2) == 3_866  # as many as there is time for
-    assert automatic_shorter(12, 3_866, minutes=4.5, threads=2) is None
+    assert automatic_shorter(12, 3_866, minutes=4.5, threads=2) is None  # several of all steps
+    assert automatic_shorter(12, 3_866, minutes=1.5, threads=2) is None  # one alone
+    assert automatic_shorter(15, 9_000, minutes=7, threads=2) == 4_200
+    assert automatic_shorter(15, 9_000, minutes=3.5, threads=4) == 4_200
     assert automatic_shorter(10, 4_650, minutes=3, threads=2) is None
+    for minutes in (3, 5, 10, 20):
+        assert automatic_shorter(16, 9_600, minutes=minutes, threads=2) is None
+        assert automatic_shorter(23, 13_800, minutes=minutes, threads=2) is None
 
 
 def test_how_short_scenes_of_an_object_are() -> None:
