@@ -382,15 +382,15 @@ it, and some to spare."""
 def automatic_tried(
     photos: int, steps: int | None, minutes: float, threads: int, of_a_minute: float = STEPS_OF_A_MINUTE
 ) -> int | None:
-    """Steps of each of several scenes, where `automatic_shorter` asks for none, there is no time for several
-    of all `steps`, and photos are enough to withhold some, which then decide (`withheld`). None: nothing is
-    tried."""
+    """Steps of each of several scenes, fewer than `steps`, where `automatic_shorter` asks for none, and photos
+    are enough to withhold some, which then decide (`withheld`). None: nothing is tried."""
     in_all = of_a_minute * minutes * min(threads, MOST_THREADS) / 2
     budget = in_all / SCENES_TRIED
-    if photos < FEWEST_TRIED or budget < LEAST_TRIED or (steps is not None and steps <= budget):
-        return None
     # As many scenes as there are at most are longer, if there is time.
-    return round(max(min(budget, MOST_SHORTER), in_all / (MEMBERS + 1)))
+    tried = round(max(min(budget, MOST_SHORTER), in_all / (MEMBERS + 1)))
+    if photos < FEWEST_TRIED or budget < LEAST_TRIED or (steps is not None and steps <= tried):
+        return None
+    return tried
 
 
 def most_scenes(photos: int, minutes: float, threads: int) -> int:

@@ -349,7 +349,11 @@ def test_how_long_scenes_are_that_are_tried() -> None:
     assert automatic_tried(15, None, minutes=10, threads=2) is None
     assert automatic_tried(26, 15_600, minutes=3, threads=2) == 3_273
     assert automatic_tried(26, 15_600, minutes=10, threads=2) == 4_200
-    assert automatic_tried(26, 15_600, minutes=20, threads=2) is None  # several of all steps
+    assert automatic_tried(26, 15_600, minutes=20, threads=2) == 6_667
+    assert automatic_tried(16, 9_600, minutes=10, threads=2) == 4_200  # or several of all steps
+    assert (
+        automatic_tried(16, 9_600, minutes=30, threads=2) is None
+    )  # as many of all steps as there are at most
     assert automatic_tried(52, None, minutes=3, threads=2, of_a_minute=1_000) is None
     assert [most_scenes(photos, 3, 2) for photos in (6, 26, 52)] == [MEMBERS] * 3
     assert most_scenes(52, 1, 2) == 1
