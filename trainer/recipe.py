@@ -382,8 +382,8 @@ it, and some to spare."""
 def automatic_tried(
     photos: int, steps: int | None, minutes: float, threads: int, of_a_minute: float = STEPS_OF_A_MINUTE
 ) -> int | None:
-    """Steps of each of several scenes, fewer than `steps`, where `automatic_shorter` asks for none, and photos
-    are enough to withhold some, which then decide (`withheld`). None: nothing is tried."""
+    """Steps of each of several scenes, fewer than `steps`, where `automatic_shorter` asks for none, and
+    photos are enough to withhold some, which then decide (`withheld`). None: nothing is tried."""
     in_all = of_a_minute * minutes * min(threads, MOST_THREADS) / 2
     budget = in_all / SCENES_TRIED
     # As many scenes as there are at most are longer, if there is time.
