@@ -303,8 +303,8 @@ class EnsembleTrainer(Trainer):
         self.strategy.settings = self._local(self.settings)
         if self.learns_by_heart and self.settings.shorter is not None:
             # By steps and seconds more of a short scene would be over: it goes on at the share where it was.
-            # With too few splats, as one that is nearly over, three minutes of `museum` have 20.89 dB in place
-            # of 21.06, of `skull close 80`, which has time for one scene more then, 20.84 of 20.77 (three
+            # With too few splats, as one that is nearly over, three minutes of `museum` have 20.89 dB, not
+            # 21.06, of `skull close 80`, which has time for one scene more then, 20.84 of 20.77 (three
             # splits each), ten minutes of `museum` (split 0) 20.36 of 20.58.
             length = (60 * (self.settings.minutes or 0.0) - counters.prepared) / self._least_scenes
             self.first = counters.iteration - round(progress * self.settings.shorter[0])
