@@ -141,16 +141,17 @@ def settings_for(
         iterations = few_steps or (PAPER_ITERATIONS if minutes is None else None)
     steps = min(iterations or math.inf, STEPS_OF_A_MINUTE * (minutes or math.inf))
     fewer = None
-    # Where there is no time for all pixels of one scene, there is none for several: three minutes of `fern`,
-    # 17 photos of 1344x1008 px, have 23.70 dB by one, 22.61 by two and a last one (chosen); judged by `queen`
-    # of 1000x658 px, 22.56 and 20.46 (shorter.json).
+    # Where there is no time for all pixels of one scene, there is none for several, unless withheld photos
+    # say so: three minutes of `fern`, 17 photos of 1344x1008 px, have 23.70 dB by one, 22.61 by two and a
+    # last one (chosen); judged by `queen` of 1000x658 px, 22.56 and 20.46 (shorter.json).
     if few_steps is not None and timed is not None and levels == HALF_THE_SIZE:
         unmet = None if everywhere else automatic_steps(photos, True, shown)
         fewer = automatic_shorter(photos, few_steps, timed, threads, unmet, of_a_minute)
     withheld = 0.0
     # Short scenes look at one photo a step: who has asked for more has one scene.
-    if fewer is None and timed is not None and levels == HALF_THE_SIZE and "batch" not in fields:
-        fewer = automatic_tried(photos, iterations, timed, threads, of_a_minute)
+    if fewer is None and timed is not None and "batch" not in fields:
+        large = levels != HALF_THE_SIZE
+        fewer = automatic_tried(photos, iterations, timed, threads, of_a_minute, large=large)
         withheld = SHARE if fewer else 0.0
     automatic: dict[str, Any] = {
         "batch": batch,

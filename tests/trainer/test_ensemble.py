@@ -571,16 +571,21 @@ def test_photos_of_an_object_may_have_shorter_scenes(views: list[TrainView], sta
 
 
 def test_large_photos_leave_no_time_for_several_scenes(start: Parameters) -> None:
-    """Where most of a run is on smaller photos because there is no time for all pixels."""
+    """Where most of a run is on smaller photos because there is no time for all pixels; but where photos are
+    enough to withhold some, these may speak for several, if minutes are enough."""
     colours, rng = np.full((len(start.means), 3), 128, np.uint8), np.random.default_rng(5)
-    for (width, height), shorter in (((80, 60), True), ((800, 600), False)):
-        ring = [(3 * np.sin(a), 0.5, 3 * np.cos(a)) for a in np.linspace(0, 6, 21)]
+    for photos, (width, height), minutes, shorter in (
+        *((12, (80, 60), 6.0, True), (12, (800, 600), 6.0, False)),
+        *((21, (80, 60), 3.0, True), (21, (1000, 800), 3.0, False), (21, (1000, 800), 20.0, True)),
+    ):
+        ring = [(3 * np.sin(a), 0.5, 3 * np.cos(a)) for a in np.linspace(0, 6, photos)]
         cameras = [look_at(eye, (0, 0, 0), width=width, height=height) for eye in ring]
         pixels = [rng.integers(0, 256, (height, width, 3), np.uint8) for _ in ring]
         noise = [TrainView(camera, array) for camera, array in zip(cameras, pixels, strict=True)]
         capture = capture_of(noise, start.means.astype(float), colours)
-        settings = settings_for(capture, TrainViews(noise, 0), minutes=3.0, threads=2)
+        settings = settings_for(capture, TrainViews(noise, 0), minutes=minutes, threads=2)
         assert (settings.shorter is not None) == shorter
+        assert (settings.withheld > 0) == (shorter and photos == 21)
 
 
 def test_the_scene_that_waits_is_measured_once(

@@ -355,6 +355,8 @@ def test_how_long_scenes_are_that_are_tried() -> None:
         automatic_tried(16, 9_600, minutes=30, threads=2) is None
     )  # as many of all steps as there are at most
     assert automatic_tried(52, None, minutes=3, threads=2, of_a_minute=1_000) is None
+    assert automatic_tried(52, None, minutes=3, threads=2, large=True) is None
+    assert automatic_tried(52, None, minutes=4, threads=2, large=True) == 4_200
     assert [most_scenes(photos, 3, 2) for photos in (6, 26, 52)] == [MEMBERS] * 3
     assert most_scenes(52, 1, 2) == 1
 
