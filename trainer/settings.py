@@ -141,7 +141,7 @@ class TrainSettings(StrategySettings):
     nothing has to stand for missing ones (`full_reg_loss`); 1: all may stay. See `free_space`."""
     withheld: float = 0.0
     """Share of the photos that a run does without at first, to see whether one scene is to take its time or
-    `shorter` ones follow; 0: none, `met_loss` decides. See `withheld` and `recipe.automatic_withheld`."""
+    `shorter` ones follow; 0: none, `met_loss` decides. See `withheld` and `recipe.automatic_tried`."""
     few_views: int = FEW_VIEWS
     """Splats that lie in the frames of at most so many photos stop learning after `few_views_rounds`, where
     there are more than five times as many photos; 0: none. See `free_space`."""
