@@ -111,7 +111,7 @@ PUBLIC = {
     "room": PublicCapture("judge", "mamechun/gs_data", "dense/0/images", 3, poses="dense/0/sparse"),
     "imp": PublicCapture("choose", "5697526/NeRF-TensoRF", "images", 5, poses=POSES_JSON),
     "bear": PublicCapture("judge", "ConsideringName/upload-files", "images", 4),
-    "bedroom": PublicCapture("judge", "Stam21/GaussianSplattingExample", "data/images", 2, every=6),
+    "bedroom": PublicCapture("choose", "Stam21/GaussianSplattingExample", "data/images", 2, every=6),
     "engine": PublicCapture("judge", "mlieschang1007/1014_project", "images", 5),
     "museum": PublicCapture("choose", "vork/alexanderTheGreat", "images", 12),
     "bronze": PublicCapture("judge", "vork/ethiopianHead", "images", 16, poses=POSES_BOUNDS, cut_out=True),
