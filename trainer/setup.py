@@ -148,7 +148,7 @@ def settings_for(
         unmet = None if everywhere else automatic_steps(photos, True, shown)
         fewer = automatic_shorter(photos, few_steps, timed, threads, unmet, of_a_minute)
     withheld = 0.0
-    # Short scenes look at one photo a step: who has asked for more has one scene.
+    # Short scenes look at one photo per step: who has asked for more has one scene.
     if fewer is None and timed is not None and "batch" not in fields:
         large = levels != HALF_THE_SIZE
         fewer = automatic_tried(photos, iterations, timed, threads, of_a_minute, large=large)
