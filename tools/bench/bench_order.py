@@ -69,7 +69,8 @@ def measure(gaussians: Gaussians, size: tuple[int, int], frames: int) -> dict[st
     repeats = max(round(400_000 / len(gaussians)), 2)
     orders = orders_of(np.asarray(gaussians.means, np.float64))
     ways = {name: steps_of(gaussians, order, size, repeats) for name, order in orders.items()}
-    found, result = in_turn(ways, frames), {"splats": len(gaussians)}
+    found = in_turn(ways, frames)
+    result: dict[str, Any] = {"splats": len(gaussians)}
     for what in ("ms", "cpu_ms"):
         times = {name: np.array(getattr(own, what)) / repeats for name, own in found.items()}
         ratios = {name: values / times[AS_IS] for name, values in times.items()}
