@@ -17,13 +17,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import Camera, RenderSettings
 from splatview.scene.camera_path import exponential, matrix_of, quaternion, slerp
 from splatview.scene.edits import Crop
 from splatview.trainer.distributed import Group
-from splatview.trainer.functional import Visibility
+from splatview.trainer.free_space import nearest_by_blocks
+from splatview.trainer.functional import Visibility, rasterize_depth
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.progressive import ProgressiveResolution
 from splatview.trainer.recipe import (
@@ -116,6 +118,8 @@ class EnsembleTrainer(Trainer):
         """Whether it is certain that scenes end as `settings.shorter` says, or that they do not."""
         self.goes_on = False
         """Whether the last scene is in training, and goes on from the one before it, see `GOES_ON_AT`."""
+        self.taught_depths: dict[str, np.ndarray] = {}
+        """(h, w) by the name of a picture taught: where what all scenes show of it begins, by blocks."""
         self.asked: set[str] = set()
         """Names of settings that somebody has chosen, which the last scene has too."""
 
@@ -378,13 +382,23 @@ class EnsembleTrainer(Trainer):
         workspace, pictures = Workspace(), []
         for camera in cameras_between([view.camera for view in views], count, self.settings.seed):
             total = np.zeros((camera.height, camera.width, 4))
+            nearest = np.full(total.shape[:2], np.inf, np.float32)
             for member in self.members:
                 drawn = draw_frame(member, camera, self.shown_settings, workspace, threads=self.threads)
                 total += np.clip(np.nan_to_num(drawn.image), 0, 1)
+                if self.settings.free_space > 0:
+                    depths = depths_of(member, camera, self.shown_settings, threads=self.threads)
+                    np.minimum(nearest, np.where(drawn.image[..., 3] > 0.5, depths, 0), out=nearest)
+            if self.settings.free_space > 0:
+                self.taught_depths[camera.name] = nearest_by_blocks(nearest)
             mean = (total / len(self.members) * 255 + 0.5).astype(np.uint8)
             alpha = np.ascontiguousarray(mean[..., 3]) if transparent else None
             pictures.append(TrainView(camera, np.ascontiguousarray(mean[..., :3]), alpha=alpha))
         self.taught = TrainViews(pictures, self.settings.seed)
+
+    def _nearest_depth(self, view: TrainView) -> float | np.ndarray:
+        taught = self.taught_depths.get(view.camera.name)
+        return super()._nearest_depth(view) if taught is None else taught
 
     def scenes_state(self) -> dict[str, np.ndarray]:
         """Arrays by name, for checkpoints."""
@@ -433,6 +447,13 @@ class EnsembleTrainer(Trainer):
             self.finished = Splats(copied(self.members[0]))
         if teaches:
             self._teach()
+
+
+def depths_of(member: Parameters, camera: Camera, settings: RenderSettings, *, threads: int) -> np.ndarray:
+    """(H, W) float32: expected depths of a scene, 0 where nothing is."""
+    means, quats, log_scales, logits = (torch.from_numpy(array) for array in member[:4])
+    with torch.no_grad():
+        return rasterize_depth(means, quats, log_scales, logits, camera, settings, threads=threads).numpy()
 
 
 def kind_of_trainer(settings: TrainSettings, group: Group | None, loss: LossPlugin | None) -> type[Trainer]:

@@ -142,6 +142,12 @@ MAX_SIZE_OF_OBJECTS = 0.05
 NEAREST = 0.02
 """Quantile of the depths of a photo's points that counts as where its scene begins: some points are wrong."""
 
+BLOCKS = 40
+"""Along the longer side of a picture, each with a depth of its own; see `nearest_by_blocks`."""
+
+ABOUT = 3
+"""Blocks to each side of one of which that is the least."""
+
 LEAST_POINTS = 20
 """Where a photo shows fewer, nothing is known."""
 
@@ -198,6 +204,22 @@ def nearest_depths(points: np.ndarray, views: Sequence[TrainView]) -> np.ndarray
     return depths
 
 
+def nearest_by_blocks(depths: np.ndarray) -> np.ndarray:
+    """(h, w) from depths of a picture (H, W): the least of each block and of those about it, see `BLOCKS` and
+    `ABOUT`."""
+    block = block_of(*depths.shape)
+    tall, wide = (-(-size // block) for size in depths.shape)
+    missing = [(0, blocks * block - size) for blocks, size in zip((tall, wide), depths.shape, strict=True)]
+    blocks = np.pad(depths, missing, mode="edge").reshape(tall, block, wide, block).min(axis=(1, 3))
+    around = np.pad(blocks, ABOUT, mode="edge")
+    return np.lib.stride_tricks.sliding_window_view(around, [2 * ABOUT + 1] * 2).min(axis=(2, 3))
+
+
+def block_of(height: int, width: int) -> int:
+    """px of a side of the blocks of a picture."""
+    return -(-max(height, width) // BLOCKS)
+
+
 def past_free_space(settings: RenderSettings, depths: np.ndarray) -> RenderSettings:
     """`settings` for other cameras than those of the photos, before which space is free up to `depths` (V,),
     0 where unknown: with a near plane at the least of these."""
@@ -212,23 +234,32 @@ def clear(
     parameters: Parameters,
     pieces: Sequence[np.ndarray],
     camera: Camera,
-    depth: float,
+    depth: float | np.ndarray,
     max_size: float,
     threads: int | None = None,
 ) -> None:
     """Of a photo's `pieces`, indices (V,) each: makes invisible what stands nearer to its camera than
-    `depth`, 0 for nothing, and shortens what is too long to be told from a veil, see `limit_sizes`."""
+    `depth`, one or (h, w) by blocks, 0 for nothing, and shortens what is too long to be told from a veil, see
+    `limit_sizes`."""
     if max_size < math.inf:
         limit_sizes(parameters, pieces, camera, max_size, threads)
-    for indices in pieces if depth > 0 else ():
+    for indices in pieces if np.max(depth) > 0 else ():
         parameters.opacity_logits[standing_before(parameters.means, indices, camera, depth)] = GONE
 
 
-def standing_before(means: np.ndarray, indices: np.ndarray, camera: Camera, depth: float) -> np.ndarray:
-    """Those of the splats at `indices` (V,) whose means (N, 3) a camera shows nearer than a depth."""
+def standing_before(
+    means: np.ndarray, indices: np.ndarray, camera: Camera, depth: float | np.ndarray
+) -> np.ndarray:
+    """Those of the splats at `indices` (V,) whose means (N, 3) a camera shows nearer than a depth, or than
+    that of their block, (h, w)."""
     axis, offset = camera.R_camera_world[2], camera.t_camera_world[2]
-    near = indices[means[indices] @ axis.astype(np.float32) < np.float32(depth - offset)]
-    return near[in_picture(means[near], camera)] if len(near) else near
+    near = indices[means[indices] @ axis.astype(np.float32) < np.float32(np.max(depth) - offset)]
+    near = near[in_picture(means[near], camera)] if len(near) else near
+    if not isinstance(depth, np.ndarray):
+        return near
+    local = _local(means[near], camera)
+    column, row = (camera.image_points(local) // block_of(camera.height, camera.width)).astype(np.int64).T
+    return near[local[:, 2] < depth[row, column]]
 
 
 def limit_sizes(

@@ -500,9 +500,13 @@ class Trainer(Editing):
         if self.counters.iteration % CLEAR_STEPS:
             return
         for view in map(self._view_at, places):
-            row = self._rows.get(view.camera.name)  # none of what is no photo
-            depth = 0.0 if row is None else settings.free_space * self.nearest_depths[row]
+            depth = settings.free_space * self._nearest_depth(view)
             clear(self.splats.arrays, info.pieces, view.camera, depth, settings.max_size, self.threads)
+
+    def _nearest_depth(self, view: TrainView) -> float | np.ndarray:
+        """At which what a view shows begins: one depth, or (h, w) by blocks; 0 where it is not known."""
+        row = self._rows.get(view.camera.name)
+        return 0.0 if row is None else float(self.nearest_depths[row])
 
     def _drop_unseen(self, progress: float) -> None:
         """Takes out what no photo shows when density control ends, and as the run does, but for the sky's."""

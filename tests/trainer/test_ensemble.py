@@ -30,6 +30,8 @@ from splatview.trainer.ensemble import (
     kind_of_trainer,
 )
 from splatview.trainer.evaluate import evaluate
+from splatview.trainer.free_space import GONE, block_of
+from splatview.trainer.functional import Visibility
 from splatview.trainer.memory import Machine, PhotoSizes, run_memory
 from splatview.trainer.plugin import LossPlugin
 from splatview.trainer.recipe import (
@@ -44,7 +46,7 @@ from splatview.trainer.recipe import (
 from splatview.trainer.run import Outputs, RunProgress, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for, train
-from splatview.trainer.trainer import Trainer
+from splatview.trainer.trainer import CLEAR_STEPS, Trainer
 from splatview.trainer.views import TrainView, TrainViews
 from tests.trainer.conftest import EXTENT, capture_of
 
@@ -74,6 +76,11 @@ def run(trainer: Trainer, until: Callable[[], object], each: float = 0.1) -> Non
 
 def whole(trainer: EnsembleTrainer, count: int) -> None:
     run(trainer, lambda: len(trainer.members) == count)
+
+
+def saved(trainer: EnsembleTrainer, path: Path) -> Path:
+    save_checkpoint(trainer, path)
+    return path
 
 
 def assert_same(one: Parameters, other: Parameters) -> None:
@@ -325,6 +332,31 @@ def test_pictures_are_the_mean_of_what_scenes_show(make: Make) -> None:
     share = sum(name.startswith("between") for name in looked) / len(looked)
     assert 0.72 < share < 0.88
     assert {view.camera.name for view in trainer.views.all} < set(looked)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.0])
+def test_nothing_stands_before_what_all_scenes_show(make: Make, tmp_path: Path, share: float) -> None:
+    """In pictures taught, as by photos; with a share of 0 it may. A resumed run knows, too."""
+    trainer, path = make(free_space=share), tmp_path / "run.safetensors"
+    whole(trainer, 3)
+    assert trainer.taught is not None and bool(trainer.taught_depths) == (share > 0)
+    view = trainer.taught.all[0]
+    camera = view.camera
+    nearest = trainer.taught_depths.get(camera.name, np.eye(20, 24))
+    row, column = np.unravel_index(nearest.argmax(), nearest.shape)
+    pixel = (np.array([[column, row]]) + 0.5) * block_of(camera.height, camera.width)
+    assert nearest.max() > 0, "all scenes show something there"
+    for one in (trainer, resumed_from(saved(trainer, path), trainer.views)):
+        arrays = one.splats.arrays
+        for place, depth in enumerate((0.9 * share * nearest.max(), 1.1 * share * nearest.max())):
+            local = camera.points_at(pixel, max(depth, 0.05))
+            arrays.means[place] = (local - camera.t_camera_world) @ camera.R_camera_world
+        arrays.log_scales[:2], arrays.opacity_logits[:2] = -3.0, 1.0
+        rows = np.arange(2, dtype=np.int32)
+        one._view_at = lambda place, factor=1: view
+        one.counters.iteration -= one.counters.iteration % CLEAR_STEPS
+        one._clear_free_space(Visibility([rows], len(arrays.means)), range(1))
+        assert (arrays.opacity_logits[:2] == GONE).tolist() == [share > 0, False]
 
 
 def test_of_transparent_photos_pictures_are_transparent(make: Make) -> None:

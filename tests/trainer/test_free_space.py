@@ -19,11 +19,14 @@ from splatview.trainer import free_space
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import PASSING
 from splatview.trainer.free_space import (
+    ABOUT,
     GONE,
     MAX_SIZE,
     MAX_SIZE_OF_OBJECTS,
+    block_of,
     change,
     limit_sizes,
+    nearest_by_blocks,
     nearest_depths,
     passing,
     standing_before,
@@ -63,6 +66,32 @@ def test_only_what_a_camera_shows_stands_before_it(views: list[TrainView]) -> No
     found = standing_before(means, np.arange(5, dtype=np.int32), view.camera, 1.0)
     assert found.tolist() == [0], "neither farther, nor aside, nor behind, nor nowhere"
     assert standing_before(means, np.array([1, 2], np.int32), view.camera, 1.0).tolist() == []
+
+
+@pytest.mark.parametrize("shape", [(40, 48), (183, 245), (61, 40), (8, 300)])
+def test_depths_by_blocks_are_the_least_of_what_is_about(shape: tuple[int, int]) -> None:
+    depths = np.random.default_rng(0).uniform(2, 9, shape).astype(np.float32)
+    block, near = block_of(*shape), (shape[0] // 2, shape[1] // 3)
+    depths[near] = 1.0
+    blocks = nearest_by_blocks(depths)
+    assert blocks.shape == tuple(-(-size // block) for size in shape)
+    of_pixels = blocks.repeat(block, axis=0).repeat(block, axis=1)[: shape[0], : shape[1]]
+    assert (of_pixels <= depths).all()
+    rows, columns = np.indices(blocks.shape)
+    about = (abs(rows - near[0] // block) <= ABOUT) & (abs(columns - near[1] // block) <= ABOUT)
+    assert ((blocks == 1.0) == about).all()
+
+
+def test_before_a_picture_each_block_has_a_depth_of_its_own(views: list[TrainView]) -> None:
+    view = views[0]
+    block = block_of(view.camera.height, view.camera.width)
+    depths = np.zeros([-(-size // block) for size in view.pixels.shape[:2]], np.float32)
+    depths[:, depths.shape[1] // 2 :] = 1.0
+    places = [(0.5, 0.5), (0.5, -0.5), (1.5, 0.5), (0.5, 2.0), (-0.5, 0.5)]
+    means = np.array([before(view, *place) for place in places], np.float32)
+    found = standing_before(means, np.arange(5, dtype=np.int32), view.camera, depths)
+    assert found.tolist() == [0], "not where nothing is known, nor farther, nor outside"
+    assert standing_before(means, np.arange(5, dtype=np.int32), view.camera, np.zeros_like(depths)).size == 0
 
 
 def veiled(start: Parameters, views: list[TrainView]) -> Parameters:

@@ -28,7 +28,7 @@ ONCE_MS = 0.1
 """Of the price of a thousand splats, what a step pays once for all its photos: Adam and density control."""
 
 DRAWN = 3
-"""Pictures that are drawn in the time of a step."""
+"""Pictures that are drawn in the time of a step; of a picture taught its depths are one more."""
 
 START = 3.0
 """Seconds before the first step."""
@@ -293,7 +293,8 @@ def main() -> None:
             taught = getattr(trainer, "taught", None)
             if taught is not None and not pictures:
                 pictures = len(taught) * len(trainer.members)
-                used += pictures * step_seconds(pixels, settings.max_splats, large=large) / DRAWN
+                drawn = 2 * pictures if getattr(trainer, "taught_depths", {}) else pictures
+                used += drawn * step_seconds(pixels, settings.max_splats, large=large) / DRAWN
             if options.curve and used - last >= options.curve:
                 curve.append((round(used, 1), trainer.counters.iteration, round(score().psnr, 3)))
                 last = used
