@@ -123,7 +123,8 @@ class Trainer(Editing):
         """Splats of one photo alone that went as the run ended, see `free_space`; None: nobody has looked."""
         self.outliers = Outliers([view.camera.name for view in views.all], settings.outliers)
         self.transients = Transients([view.camera.name for view in views.all], settings.transients)
-        self.withheld = Withheld(len(views), settings.withheld, settings.seed)
+        steps = settings.shorter[0] if settings.shorter else math.inf
+        self.withheld = Withheld(len(views), settings.withheld, settings.seed, steps)
         """Photos that tell whether several scenes are trained, see `ensemble`."""
         self.mask()
         self.resolution = ProgressiveResolution(views)
