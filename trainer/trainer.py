@@ -502,7 +502,9 @@ class Trainer(Editing):
             return
         for view in map(self._view_at, places):
             depth = settings.free_space * self._nearest_depth(view)
-            clear(self.splats.arrays, info.pieces, view.camera, depth, settings.max_size, self.threads)
+            near = 0.0 if view.camera.name in self._rows else self.shown_settings.model.near
+            scene = self.splats.arrays, info.pieces, view.camera
+            clear(*scene, depth, settings.max_size, self.threads, near=near)
 
     def _nearest_depth(self, view: TrainView) -> float | np.ndarray:
         """At which what a view shows begins: one depth, or (h, w) by blocks; 0 where it is not known."""

@@ -91,6 +91,9 @@ def test_before_a_picture_each_block_has_a_depth_of_its_own(views: list[TrainVie
     means = np.array([before(view, *place) for place in places], np.float32)
     found = standing_before(means, np.arange(5, dtype=np.int32), view.camera, depths)
     assert found.tolist() == [0], "not where nothing is known, nor farther, nor outside"
+    rows = np.arange(5, dtype=np.int32)
+    assert standing_before(means, rows, view.camera, depths, near=0.4).tolist() == [0]
+    assert standing_before(means, rows, view.camera, depths, near=0.6).tolist() == [], "before a near plane"
     assert standing_before(means, np.arange(5, dtype=np.int32), view.camera, np.zeros_like(depths)).size == 0
 
 

@@ -23,10 +23,9 @@ from splatview.trainer.setup import settings_for
 from splatview.trainer.views import TrainView, TrainViews
 from splatview.trainer.withheld import (
     COMPARED,
-    FEW_LOOKS,
+    ENOUGH_LOOKS,
     FEWEST,
     LEAST_GAP,
-    LEAST_OF_MANY,
     MOST,
     SHARE,
     WITHHELD_FROM,
@@ -37,6 +36,8 @@ from tests.trainer.conftest import EXTENT, VIEWS, capture_of
 
 SETTINGS = RenderSettings(background=(0.2, 0.2, 0.2))
 STEPS, SPLATS, MORE_SPLATS = 200, 150, 400
+ASKED_GAP = LEAST_GAP * math.sqrt(ENOUGH_LOOKS * VIEWS / STEPS)
+"""dB that are asked for where scenes are as short."""
 make_settings: Any = TrainSettings
 
 
@@ -155,7 +156,12 @@ def test_photos_that_a_mask_hides_tell_nothing(views: list[TrainView], start: Pa
 
 @pytest.mark.parametrize(
     ("steps", "least"),
-    [(math.inf, LEAST_GAP), (20 * FEW_LOOKS, LEAST_GAP), (20 * FEW_LOOKS - 1, LEAST_OF_MANY)],
+    [
+        (math.inf, LEAST_GAP),
+        (20 * ENOUGH_LOOKS, LEAST_GAP),
+        (5 * ENOUGH_LOOKS, 2 * LEAST_GAP),
+        (19 * ENOUGH_LOOKS, LEAST_GAP * math.sqrt(20 / 19)),
+    ],
 )
 def test_who_learns_by_heart(steps: float, least: float) -> None:
     withheld = Withheld(20, SHARE, 0, steps)
@@ -181,7 +187,7 @@ def test_steps_do_without_them_until_it_is_decided(views: list[TrainView], start
 def test_far_from_others_several_scenes_are_trained(
     views: list[TrainView], start: Parameters, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    finds(monkeypatch, LEAST_OF_MANY)
+    finds(monkeypatch, ASKED_GAP)
     trainer = decided(trainer_of(views, start, batch=2))
     assert trainer.is_short and trainer.batch == 1
     # The first goes on from the share of the run at which that was decided, as one of `STEPS`.
@@ -209,7 +215,7 @@ def test_far_from_others_several_scenes_are_trained(
     assert trainer.scene is trainer.splats and trainer.progress == 1
 
 
-@pytest.mark.parametrize("gap", [LEAST_OF_MANY - 0.01, math.nan])
+@pytest.mark.parametrize("gap", [ASKED_GAP - 0.01, math.nan])
 def test_near_others_one_scene_goes_on_as_it_would(
     views: list[TrainView], start: Parameters, monkeypatch: pytest.MonkeyPatch, gap: float
 ) -> None:
@@ -233,7 +239,7 @@ def test_an_edit_of_the_last_scene_stays(
     views: list[TrainView], start: Parameters, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is shown is edited, and trained on from photos alone: pictures would bring back what has gone."""
-    finds(monkeypatch, LEAST_OF_MANY)
+    finds(monkeypatch, ASKED_GAP)
     trainer = trainer_of(views, start)
     run(trainer, lambda: trainer.taught is not None)
     count = len(trainer.splats)
@@ -282,7 +288,7 @@ def test_a_resumed_run_goes_on_alike(views: list[TrainView], start: Parameters, 
 def test_a_run_that_is_resumed_in_its_last_scene_goes_on_alike(
     views: list[TrainView], start: Parameters, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    finds(monkeypatch, LEAST_OF_MANY)
+    finds(monkeypatch, ASKED_GAP)
     trainer, path = trainer_of(views, start), tmp_path / "run.safetensors"
     run(trainer, lambda: trainer.taught is not None and trainer.scene_progress > GOES_ON_AT + 0.1)
     save_checkpoint(trainer, path)
