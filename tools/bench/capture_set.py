@@ -361,7 +361,7 @@ class Part:
 
 PARTS = {
     "banana, every 8th": Part("choose", "banana", every=EVERY),
-    "miku 8 far": Part("judge", "miku", 8),
+    "miku 8 far": Part("choose", "miku", 8),
     "miku 8 near": Part("judge", "miku", 8, "near"),
     "miku 12 far": Part("choose", "miku", 12),
     "miku 12 near": Part("choose", "miku", 12, "near"),

@@ -108,7 +108,7 @@ PUBLIC = {
     "coke": PublicCapture("judge", SCENE2MESH, "real_scene_data/coke/train", 2, poses=TRANSFORMS),
     "gum": PublicCapture("judge", SCENE2MESH, "real_scene_data/gum/train", 3, poses=TRANSFORMS, every=5),
     "field": PublicCapture("judge", INSTANT_NGP, "images", 3, poses=POSES_JSON),
-    "room": PublicCapture("judge", "mamechun/gs_data", "dense/0/images", 3, poses="dense/0/sparse"),
+    "room": PublicCapture("choose", "mamechun/gs_data", "dense/0/images", 3, poses="dense/0/sparse"),
     "imp": PublicCapture("choose", "5697526/NeRF-TensoRF", "images", 5, poses=POSES_JSON),
     "bear": PublicCapture("judge", "ConsideringName/upload-files", "images", 4),
     "bedroom": PublicCapture("choose", "Stam21/GaussianSplattingExample", "data/images", 2, every=6),
