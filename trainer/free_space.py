@@ -273,7 +273,7 @@ def standing_before(
     means: np.ndarray, indices: np.ndarray, camera: Camera, depth: float | np.ndarray, *, near: float = 0.0
 ) -> np.ndarray:
     """Those of the splats at `indices` (V,) whose means (N, 3) a camera shows nearer than a depth, or than
-    that of their block, (h, w), but not nearer than `near`: behind a near plane nobody has told."""
+    that of their block, (h, w), but not nearer than `near`: what a near plane hides nobody has told."""
     axis, offset = camera.R_camera_world[2], camera.t_camera_world[2]
     found = indices[means[indices] @ axis.astype(np.float32) < np.float32(np.max(depth) - offset)]
     found = found[in_picture(means[found], camera)] if len(found) else found
