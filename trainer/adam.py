@@ -16,7 +16,8 @@ from splatview.trainer.adam_kernels import BETA1, BETA2, EPSILON, FEWEST_FOR_FAS
 from splatview.trainer.splats import Splats
 
 FAST_SCALES = {"log_scales_rate": 8e-2, "log_scales_rate_end": 5e-4}
-"""Of the strategy mcmc, see "How fast scales change" in docs/training.md; the classic has the paper's."""
+"""Of the strategy mcmc, see "How fast scales change" in docs/training-recipe.md; the classic has the
+paper's."""
 
 
 def automatic_scale_rates(photos: int, everywhere: bool, strategy: str) -> dict[str, float]:

@@ -62,8 +62,8 @@ FAR_FROM = 0.25
 what is ten times as far a tenth as many pixels: houses behind a monument hardly leave where they begin, and
 splats in the air before single photos stand for them.
 
-A minute of the bench, split 0 each, all alike and so (docs/training.md). Chosen: `statue` 20.11 and 21.41
-dB, `demo lens 40` 32.19 and 33.70, `miku` 29.86 and 30.50, `fox` 29.49 and 29.61, but `biker front 24`,
+A minute of the bench, split 0 each, all alike and so (docs/training-recipe.md). Chosen: `statue` 20.11 and
+21.41 dB, `demo lens 40` 32.19 and 33.70, `miku` 29.86 and 30.50, `fox` 29.49 and 29.61, but `biker front 24`,
 before black, 42.92 and 42.70, and of fewer photos `banana` 26.95 and 26.91 (SSIM 0.718 and 0.707), `beach`
 18.70 and 18.20, and `castle` 19.51 and 19.03: what is faster learns by heart faster, too.
 

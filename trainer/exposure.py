@@ -21,11 +21,12 @@ run: one scored 14.9 dB after a minute, where exposures were learnt, and 12.6 af
 not. Others, as on `miku` and `fox` (3 to 5), may be light, or a camera that adapts to where it looks: learnt
 gains are a smooth function of the camera's place there (neighbours explain 96 % of them on `fox`, 93 % on
 `miku`), which colours by direction learn as well, and a scene at the average exposure is right for no photo
-as it is. Chosen by what a minute scores, after a fit and as it is, docs/training.md has the table: kept,
-`fox` gains 0.2 and loses 3.4 dB, `miku` gains 0.6 and loses 1.6, and `spot RGBA 60`, of one exposure, loses
-1.2 as it is; a split of `castle` gains 0.5 and 1.3, one of `toy` 0.2 and 0.8. Judged: `desk` (11) gains 0.2
-and loses 3.7. `train front 30`, lights on black, differed by 16 % (known to 0.8 %) until places beside the
-bare background were left out, with which blurred colours mix: 45.12 dB after three minutes where it was on.
+as it is. Chosen by what a minute scores, after a fit and as it is, docs/training-recipe.md has the table:
+kept, `fox` gains 0.2 and loses 3.4 dB, `miku` gains 0.6 and loses 1.6, and `spot RGBA 60`, of one exposure,
+loses 1.2 as it is; a split of `castle` gains 0.5 and 1.3, one of `toy` 0.2 and 0.8. Judged: `desk` (11)
+gains 0.2 and loses 3.7. `train front 30`, lights on black, differed by 16 % (known to 0.8 %) until places
+beside the bare background were left out, with which blurred colours mix: 45.12 dB after three minutes where
+it was on.
 
 Light that changes from photo to photo leaves much that no gain explains: `liberty`, a statue in many people's
 photos, in any weather, differs by 33 %, known to 14 %. What tells that from shine is that photos from nearly

@@ -14,7 +14,7 @@ to 25 times the median, and 0.57 more or above; right ones 4.7 times and 0.21 mo
 nearer than all others), or 2.9 times and 0.45 (`playbot close 80`, which few photos show the same part of,
 and where wrong ones lack 2.6 to 4.0 times as much). Where photos stand far apart (`miku 12 far`), one that is
 turned by 5 degrees is learnt by heart as well as the others (2.8 times, 0.11 more), and stays. What has
-judged them is in the table of docs/training.md.
+judged them is in the table of docs/training-recipe.md.
 
 Earlier is no better: at a fiftieth of the run the most that a right photo of `miku 20 far` lacks is 2.5 times
 the median and 0.26 more, that of a wrong one of `skull RGBA 24` 3.0 times and 0.41 more.

@@ -33,9 +33,10 @@ fainter than 0.065, `beer` 27.54 (9,030 splats), `mug` 30.24 (17,239)."""
 
 ONCE_PIXELS, MOST_DETAIL = 120e3, 2.0
 """Pixels that show a scene once, from which on there are more, by the square root, and how many times as many
-at most. Three minutes, split 0, twice as many and as before (docs/training.md has more, and SSIM). Chosen:
-`banana` of 750x498 px 26.79 and 26.21 dB, `building` 19.25 and 18.96, `bonsai` 25.99 and 25.64 (four times as
-many 25.91), `miku` of 981x735 29.39 and 29.29; `lego` of 800x800, which is transparent, 29.84 and 30.19."""
+at most. Three minutes, split 0, twice as many and as before (docs/training-recipe.md has more, and SSIM).
+Chosen: `banana` of 750x498 px 26.79 and 26.21 dB, `building` 19.25 and 18.96, `bonsai` 25.99 and 25.64 (four
+times as many 25.91), `miku` of 981x735 29.39 and 29.29; `lego` of 800x800, which is transparent, 29.84 and
+30.19."""
 
 STEPS_OF_A_MINUTE = 3_000
 """About as many steps, of one photo each, are made in a minute on two cores with so many splats. Where steps
@@ -349,7 +350,7 @@ def automatic_shorter(
     long scene and by two or three short ones and a last: `statue` (21 photos, a loss of 0.067) 19.14 and
     21.04 dB, `demo hard 40` (26, 0.047, for they are noisy) 30.82 and 30.54, and of those whose loss is below
     0.02, `miku 40 far` (26, 0.016) 27.69 and 27.86, `demo lens 40` (26, 0.014) 37.36 and 35.45. Chosen on
-    these; judged by splits of `statue`: docs/training.md. All of these go by withheld photos now.
+    these; judged by splits of `statue`: docs/training-recipe.md. All of these go by withheld photos now.
 
     After three minutes, three splits, `beach` (time for 0.72 of a long scene's steps) has 18.22 by one and
     18.90 by several, but `banana` (0.60) 26.78 and 27.00 with an SSIM of 0.743 and 0.724; both are chosen on.

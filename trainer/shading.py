@@ -7,10 +7,11 @@ of the scene is multiplied by the exponential of a smooth map before it is compa
 pulled to 0, as a scene that is right needs none, and their mean over photos and places is 0; that of each
 photo is an exposure, and 0 where these are learnt beside maps.
 
-Chosen by a minute of `miku 12 near`, three splits: 27.27 dB without, 27.78 with them; docs/training.md has
-what judged that, and what was tried. Where many photos show each place others outvote a shadow: `miku` (51 of
-64) 30.77 and 30.65. Dropped: for objects that are cut out, too. `milk`, turned in the light of a window, has
-23.99 and 23.64 dB after one and three minutes, 24.16 and 23.81 with maps, and loses as much with time.
+Chosen by a minute of `miku 12 near`, three splits: 27.27 dB without, 27.78 with them; docs/training-recipe.md
+has what judged that, and what was tried. Where many photos show each place others outvote a shadow: `miku`
+(51 of 64) 30.77 and 30.65. Dropped: for objects that are cut out, too. `milk`, turned in the light of a
+window, has 23.99 and 23.64 dB after one and three minutes, 24.16 and 23.81 with maps, and loses as much with
+time.
 
 Source: the idea is that of bilateral grids (Wang et al. 2024), by place alone and of one gain for all
 colours.

@@ -17,7 +17,7 @@ say is not there. Close views of an object may show nothing else, so it need not
 LEAST_SHOWN, ALIKE = 0.5, 0.97
 """Share of a photo that shows something, and of what either of two photos shows, that both do, from which on
 all are transparent in the same place: a rim. Objects of the bench that are cut out fill 9 to 43 % of their
-photos, and look different from every side; docs/training.md has what a rim costs that is not told."""
+photos, and look different from every side; docs/training-recipe.md has what a rim costs that is not told."""
 
 GONE_ALIKE = 0.5
 """Share of what either of two photos does not show that both do not, from which on that is the same place,
