@@ -26,6 +26,7 @@ from splatview.trainer.ensemble import (
     OF_STUDENT,
     SPARE,
     EnsembleTrainer,
+    begins_for_most,
     cameras_between,
     kind_of_trainer,
 )
@@ -332,6 +333,22 @@ def test_pictures_are_the_mean_of_what_scenes_show(make: Make) -> None:
     share = sum(name.startswith("between") for name in looked) / len(looked)
     assert 0.72 < share < 0.88
     assert {view.camera.name for view in trainer.views.all} < set(looked)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 7, 8])
+def test_one_scene_in_four_may_have_fog_of_its_own(count: int) -> None:
+    """Before which nothing is free by the others; where two do, that is where it ends."""
+    rng = np.random.default_rng(count)
+    depths = rng.uniform(2.0, 3.0, (count, 3, 4)).astype(np.float32)
+    foggy = depths.copy()
+    foggy[0], depths[0] = 0.5, np.inf
+    found = begins_for_most(foggy)
+    assert found.shape == (3, 4)
+    assert (found > 0.5).all() == (count >= 4)
+    if 4 <= count < 8:
+        np.testing.assert_array_equal(found, depths.min(axis=0))
+    foggy[1] = 0.7
+    np.testing.assert_array_equal(begins_for_most(foggy)[0, 0] <= 0.7, count < 8)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.0])
