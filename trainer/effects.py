@@ -280,7 +280,8 @@ def _scenes(settings: TrainSettings) -> Effect:
     if settings.trains_several:
         steps = f"{settings.iterations:,} steps" if settings.iterations else ""
         if settings.shorter is not None:
-            steps = f"{settings.shorter[0]:,} steps, or {steps} where photos are met well,"
+            if settings.shorter[0] != settings.iterations:  # as many where only splats are fewer
+                steps = f"{settings.shorter[0]:,} steps, or {steps} where photos are met well,"
             if settings.withheld > 0:
                 steps = (
                     "one is trained to the end, or, if withheld photos speak for it,"

@@ -473,6 +473,9 @@ def test_a_run_says_what_it_does(make: Make, tmp_path: Path, views: list[TrainVi
     shorter = replace(trainer.settings, shorter=(10, 100))
     effect = next(one for one in capture_effects(capture, shorter, "auto") if one.name == SCENES)
     assert "10 steps, or 15 steps where photos are met well, end a scene" in effect.why
+    as_many = replace(shorter, shorter=(15, 100))
+    effect = next(one for one in capture_effects(capture, as_many, "auto") if one.name == SCENES)
+    assert effect.why.startswith("15 steps end a scene")
     outputs = Outputs(
         scene=tmp_path / "a.ply", checkpoint=tmp_path / "a.safetensors", metrics=None, pictures=tmp_path / "p"
     )
