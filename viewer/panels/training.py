@@ -6,7 +6,7 @@ import os
 from functools import partial
 
 import numpy as np
-from imgui_bundle import ImVec4, imgui, implot
+from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from splatview.scene.formats import place_beside
@@ -276,6 +276,11 @@ def begin_curve(
     implot.setup_axis_limits(implot.ImAxis_.x1, *limits(x), implot.Cond_.always)
     room = 0.0 if logarithmic else MARGIN
     implot.setup_axis_limits(implot.ImAxis_.y1, *limits(values, room), implot.Cond_.always)
+    # Half of the last number stands beyond the axis.
+    padding = implot.get_style().plot_padding
+    implot.push_style_var(implot.StyleVar_.plot_padding, ImVec2(1.3 * imgui.get_font_size(), padding.y))
+    implot.setup_finish()
+    implot.pop_style_var()
     return True
 
 
