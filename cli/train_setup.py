@@ -254,9 +254,10 @@ def _prepare(
             capture, views, centre, seed, batch, options, group, loss, console, memory, bound, machine.threads
         )
         if options.iterations is None and automatic_steps(len(views)) is not None:
+            few = f"{len(views)} photos are few" if len(views) > 1 else "one photo is little"
             say(
                 console,
-                f"{len(views)} photos are few: {trainer.settings.iterations:,} steps at most, for more would"
+                f"{few}: {trainer.settings.iterations:,} steps at most, for more would"
                 " learn single photos by heart; --iterations asks for more",
             )
     else:

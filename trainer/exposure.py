@@ -152,6 +152,8 @@ class Evidence(NamedTuple):
         return self.spread > LEAST_SPREAD and (known or self.near > LEAST_NEAR)
 
     def __str__(self) -> str:
+        if not np.isfinite(self.error):
+            return "nothing that several photos show tells whether they differ in exposure"
         found = f"photos differ in exposure by {self.spread:.0%} (known to {self.error:.1%})"
         found += f", from nearly the same place by {self.near:.0%}" if self.near > LEAST_NEAR else ""
         uneven = self.spread > LEAST_SPREAD and not self.unevenness < MOST_UNEVEN

@@ -131,6 +131,8 @@ def test_evidence_is_how_far_photos_differ_where_they_show_the_same() -> None:
     assert evidence.spread == pytest.approx(np.std(np.log(gains)), rel=0.05)
     assert evidence.error < 0.01 and evidence.unevenness < 1.1 and evidence.calls_for_correction
     assert str(evidence).startswith("photos differ in exposure by 13% (known to 0.")
+    unknown = measured_evidence(points, photos[:1])
+    assert not unknown.calls_for_correction and "inf" not in str(unknown), "one photo tells nothing"
     alike = measured_evidence(*wall(np.ones(8)))
     assert alike.spread < 0.01 and not alike.calls_for_correction
 
