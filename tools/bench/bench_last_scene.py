@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 from capture_set import bench_split
 from generalisation_run import DRAWN, START, step_seconds
+from PIL import Image
 
 from splatview.measure.machine import write_results
 from splatview.raster import Parameters
 from splatview.trainer import ensemble, free_space
 from splatview.trainer.ensemble import EnsembleTrainer
-from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures
+from splatview.trainer.evaluate import Evaluation, evaluation_of, pictures, side_by_side
 from splatview.trainer.exposure import fitted_by_tiles
 from splatview.trainer.setup import kernel_threads_only, settings_for, trainer_for
 from splatview.trainer.views import TrainViews, train_views
@@ -111,7 +112,16 @@ def compare(name: str, split: int, seed: int, options: argparse.Namespace) -> li
                 if way == WITHOUT:
                     trainer.taught_depths.clear()
                 train(trainer, pixels, seconds, lambda: False)
-            found = score(shown(trainer.splats.arrays))
+            drawn = shown(trainer.splats.arrays)
+            found = score(drawn)
+            if options.pictures is not None:
+                options.pictures.mkdir(parents=True, exist_ok=True)
+                rows = [
+                    np.concatenate([np.asarray(side_by_side(view, picture)) for picture in (one, two)])
+                    for view, one, two in zip(held_out, np.mean(teach, axis=0), drawn, strict=True)
+                ]
+                file = options.pictures / f"{name}-{split}-{seed}-{way}.png".replace(" ", "-")
+                Image.fromarray(np.concatenate(rows)).save(file)
             results.append(
                 {
                     "capture": name,
@@ -176,6 +186,11 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=3.0)
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=[WITHOUT, NOW])
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument(
+        "--pictures",
+        type=Path,
+        help="folder for held-out photos beside the mean of the scenes that teach, and beside the last one",
+    )
     parser.add_argument("-o", "--output", type=Path)
     options = parser.parse_args()
     warm_up(lens=True)
