@@ -1,4 +1,4 @@
-"""The bench of last scenes: a way ends with its last scene, and gains are between scenes of the same teachers."""
+"""The bench of last scenes: ways end with their last scene, and gains are of the same scenes before."""
 
 from __future__ import annotations
 
