@@ -254,7 +254,7 @@ def _prepare(
             capture, views, centre, seed, batch, options, group, loss, console, memory, bound, machine.threads
         )
         if options.iterations is None and automatic_steps(len(views)) is not None:
-            few = f"{len(views)} photos are few" if len(views) > 1 else "one photo is little"
+            few = f"{len(views)} photos are few" if len(views) > 1 else "a single photo is little to go by"
             say(
                 console,
                 f"{few}: {trainer.settings.iterations:,} steps at most, for more would"
