@@ -436,8 +436,10 @@ def _lens(capture: Capture) -> Effect:
     statistics, photos = capture.statistics, len(capture.photos)
     through = any(photo.camera.lens is not None for photo in capture.photos)
     if statistics.lenses:
-        bent = f"{statistics.lenses} of {photos} photos have a lens that moves points by up to"
-        why = f"{bent} {statistics.displacement:.3g} px: " + (
+        most = f"moves points by up to {statistics.displacement:.3g} px"
+        if not np.isfinite(statistics.displacement):
+            most = "shows less than a pinhole would"
+        why = f"{statistics.lenses} of {photos} photos have a lens that {most}: " + (
             "pictures are drawn through them" if through else "taken out of the photos"
         )
     elif statistics.lenses_left_out:

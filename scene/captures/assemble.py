@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import (
     LEAST_DISPLACEMENT,
     Capture,
@@ -33,6 +34,7 @@ from splatview.scene.captures.points import MIN_POINTS, first_points, random_poi
 from splatview.scene.captures.transparency import OPAQUE, outline_of, unknown_for, without_unknown
 from splatview.scene.errors import InputError
 from splatview.scene.formats import load_cameras
+from splatview.scene.lens import Lens
 from splatview.scene.progress import Progress
 
 HOLD_OUT_EVERY = 8
@@ -49,6 +51,10 @@ LEAST_RADIUS, LARGEST_RADIUS = 1e-9, 1e12
 
 LOSS_TO_MENTION = 0.05
 """Share of a photo that its undistorted picture does not show."""
+
+FOLD_TO_MENTION = 0.1
+"""Share of a photo beyond where its lens's polynomial turns back on itself. Those that are fitted to what a
+photo shows do so at its corners, if at all; wrong ones within it."""
 
 
 def capture_of(
@@ -140,6 +146,7 @@ def capture_of(
         )
     if twice:
         warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {some(twice)}")
+    warnings += _folding_lenses(entries)
     if lens == "undistort":
         warnings += _lens_notes(entries)
     usable = np.all(np.abs(posed.points) <= LARGEST_RADIUS, axis=1)
@@ -267,26 +274,46 @@ def _on_demand(entry: PosedPhoto, how: How) -> Callable[[], Pixels]:
     return lambda: read_pixels(entry, *how)
 
 
+def _by_lens(entries: Sequence[PosedPhoto]) -> Iterator[tuple[Camera, Lens, np.ndarray]]:
+    """Cameras that see alike, through their lens, and (25, 25, 2) pixels, px, all over their photos."""
+    cameras = {intrinsics_of(entry.camera): entry.camera for entry in entries}
+    for camera in cameras.values():
+        if camera.lens is not None:
+            x, y = (np.linspace(0.5, size - 0.5, 25) for size in (camera.width, camera.height))
+            yield camera, camera.lens, np.stack(np.meshgrid(x, y), axis=-1)
+
+
 def _lens_notes(entries: Sequence[PosedPhoto]) -> list[str]:
     """A line for each lens of which a good part of the photo lies outside the undistorted picture."""
     notes = []
-    by_lens = {
-        intrinsics_of(entry.camera): entry.camera for entry in entries if entry.camera.lens is not None
-    }
-    for camera in by_lens.values():
-        x, y = (np.linspace(0.5, size - 0.5, 25) for size in (camera.width, camera.height))
-        grid = np.stack(np.meshgrid(x, y), axis=-1)
+    for camera, lens, grid in _by_lens(entries):
         pinhole = replace(camera, lens=None)
         there = pinhole.image_points(camera.points_at(grid, 1.0))
         with np.errstate(invalid="ignore"):
             shown = ((there >= 0) & (there <= (camera.width, camera.height))).all(axis=-1)
         lost = 1 - shown.mean()
-        if lost > LOSS_TO_MENTION and camera.lens is not None:
+        if lost > LOSS_TO_MENTION:
             notes.append(
-                f"{lost:.0%} of each {camera.lens.model} photo lies outside its undistorted picture and is "
-                "not used"
+                f"{lost:.0%} of each {lens.model} photo lies outside its undistorted picture and is not used"
             )
     return notes
+
+
+def _folding_lenses(entries: Sequence[PosedPhoto]) -> list[str]:
+    """A line about the worst of lenses, no fisheyes, whose polynomial turns back on itself well within
+    photos."""
+    found = [
+        (1 - np.isfinite(camera.points_at(grid, 1.0)).all(axis=-1).mean(), str(lens))
+        for camera, lens, grid in _by_lens(entries)
+        if not lens.form.slope
+    ]
+    share, lens = max(found, default=(0.0, ""))
+    if not share > FOLD_TO_MENTION:
+        return []
+    return [
+        f"{share:.0%} of a photo is beyond what its lens ({lens}) can show, and is not used: such a"
+        " calibration is wrong; find it and the poses anew, or remove the distortion from the file"
+    ]
 
 
 def capture_name(path: Path) -> str:

@@ -32,6 +32,8 @@ POSES_JSON = "transforms.json"
 
 LIBERTY = "vork/StatueOfLiberty-Photogrammetry"
 
+CLIPASSO3D = "tarhanefe/clipasso3d"
+
 SCENE2MESH = "akristoffersen/Scene2Mesh"
 
 INSTANT_NGP = "Uddhav786/Enhancing-3D-Scene-Reconstruction-with-NeRF-and-NVIDIA-s-Instant-NGP"
@@ -55,13 +57,14 @@ class PublicCapture:
     """Of the repository, that has the photos."""
     poses: str = ""
     """Folder of the model in the repository, by which its owner posed them, POSES_BOUNDS or POSES_JSON, or
-    TRANSFORMS beside the photos' folder; empty: they are posed here."""
+    TRANSFORMS beside the photos' folder, or above it; empty: they are posed here."""
     cut_out: bool = False
     """Whether the repository has masks, in a folder of their own, that say where nothing is."""
     every: int = 1
     """One of so many photos, by name, is used."""
     rendered: bool = False
-    """Of NeRF's synthetic set: TRANSFORMS beside the folder says where photos were rendered from."""
+    """As NeRF's synthetic set is: TRANSFORMS beside the folder, or above it, says where photos were rendered
+    from."""
 
 
 PUBLIC = {
@@ -115,6 +118,10 @@ PUBLIC = {
     "engine": PublicCapture("judge", "mlieschang1007/1014_project", "images", 5),
     "museum": PublicCapture("choose", "vork/alexanderTheGreat", "images", 12),
     "bronze": PublicCapture("judge", "vork/ethiopianHead", "images", 16, poses=POSES_BOUNDS, cut_out=True),
+    "duck": PublicCapture("judge", CLIPASSO3D, "data/duck/rgb/train", 1, rendered=True),
+    "horse": PublicCapture("judge", CLIPASSO3D, "data/horse/rgb/train", 1, rendered=True),
+    "rose": PublicCapture("judge", CLIPASSO3D, "data/rose/rgb/train", 1, rendered=True),
+    "bike": PublicCapture("judge", CLIPASSO3D, "data/bike/rgb/train", 1, rendered=True),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
@@ -130,7 +137,7 @@ office; games on a carpet; a carton of milk, cut out before white; a figure on a
 a lit keyboard; a can of beer on tiles; a mug on a table; a can on a sheet; a pot of gum before screens;
 tractors on a field; a room from its inside; a shiny figurine on a table; a plush bear on a table in an
 office; a bedroom, by a phone; a railway engine under the sky; a marble head in a museum; a
-bronze head that shines, cut out."""
+bronze head that shines, cut out; a duck, a horse, a rose and a bicycle, rendered before black."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:
@@ -254,8 +261,9 @@ def main() -> None:
         if capture.cut_out:
             extract(git, capture.commit, "masks", folder / "masks")
         if beside:
-            place = capture.folder.rpartition("/")[0]
-            posed = f"{extract(git, capture.commit, place, folder, (TRANSFORMS,))} file of poses"
+            places = [str(above).removeprefix(".") for above in Path(capture.folder).parents]
+            found = sum(extract(git, capture.commit, place, folder, (TRANSFORMS,)) for place in places)
+            posed = f"{found} file of poses"
         elif capture.poses == POSES_BOUNDS:
             posed = extract_bounds(git, capture, folder)
         elif capture.poses == POSES_JSON:

@@ -39,6 +39,16 @@ def test_a_pinhole_moves_nothing_and_a_lens_of_a_narrow_field_has_no_bound():
     assert largest_displacement(replace(CAMERA, lens=folding)) == np.inf
 
 
+@pytest.mark.parametrize(("k", "is_wrong"), [(0.1, False), (-0.1, False), (-40.0, True)])
+def test_a_calibration_that_cannot_be_is_mentioned(k, is_wrong, tmp_path, colmap_capture):
+    """A lens that turns back on itself within the photo, whatever is done about it."""
+    colmap_capture(tmp_path, model=RADIAL, distortion=(k, 0.0))
+    for use in ("through", "undistort"):
+        warnings = [line for line in load_capture(tmp_path, lens=use).warnings if "calibration" in line]
+        assert len(warnings) == is_wrong
+        assert all(f"(RADIAL: {k:.4g}, 0)" in line for line in warnings)
+
+
 def test_a_lens_that_does_not_show_is_left_out(tmp_path, colmap_capture):
     for name, k in (("weak", 1e-4), ("strong", 1e-2)):
         cameras = colmap_capture(tmp_path / name, model=RADIAL, distortion=(k, 0.0))
