@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import shutil
 import subprocess
 from collections.abc import Mapping
@@ -66,8 +65,6 @@ class PublicCapture:
     rendered: bool = False
     """As NeRF's synthetic set is: TRANSFORMS beside the folder, or above it, says where photos were rendered
     from."""
-    moved_on: int = 0
-    """By how many frames of TRANSFORMS poses are of photos before theirs, the last ones of the first."""
 
 
 PUBLIC = {
@@ -121,8 +118,6 @@ PUBLIC = {
     "engine": PublicCapture("judge", "mlieschang1007/1014_project", "images", 5),
     "museum": PublicCapture("choose", "vork/alexanderTheGreat", "images", 12),
     "bronze": PublicCapture("judge", "vork/ethiopianHead", "images", 16, poses=POSES_BOUNDS, cut_out=True),
-    "duck": PublicCapture("judge", CLIPASSO3D, "data/duck/rgb/train", 1, rendered=True, moved_on=1),
-    "horse": PublicCapture("judge", CLIPASSO3D, "data/horse/rgb/train", 1, rendered=True, moved_on=1),
     "rose": PublicCapture("judge", CLIPASSO3D, "data/rose/rgb/train", 1, rendered=True),
     "bike": PublicCapture("judge", CLIPASSO3D, "data/bike/rgb/train", 1, rendered=True),
 }
@@ -140,7 +135,7 @@ office; games on a carpet; a carton of milk, cut out before white; a figure on a
 a lit keyboard; a can of beer on tiles; a mug on a table; a can on a sheet; a pot of gum before screens;
 tractors on a field; a room from its inside; a shiny figurine on a table; a plush bear on a table in an
 office; a bedroom, by a phone; a railway engine under the sky; a marble head in a museum; a
-bronze head that shines, cut out; a duck, a horse, a rose and a bicycle, rendered before black."""
+bronze head that shines, cut out; a rose and a bicycle, rendered before black."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:
@@ -191,16 +186,6 @@ def extract_bounds(git: Path, capture: PublicCapture, folder: Path) -> str:
     np.save(folder / POSES_BOUNDS, rows[kept])
     points = extract(git, capture.commit, "sparse/0", folder / "sparse" / "0", (".bin",))
     return f"{len(kept)} of {len(rows)} poses, {points} files of points"
-
-
-def move_on(path: Path, count: int) -> None:
-    """Gives each photo of a file of poses the pose that is so many frames farther on, by their numbers."""
-    found = json.loads(path.read_text())
-    frames = sorted(found["frames"], key=lambda frame: int(frame["file_path"].rpartition("_")[2]))
-    matrices = [frame["transform_matrix"] for frame in frames]
-    for i, frame in enumerate(frames):
-        frame["transform_matrix"] = matrices[(i + count) % len(frames)]
-    path.write_text(json.dumps(found | {"frames": frames}))
 
 
 def pose(folder: Path, capture: PublicCapture) -> str:
@@ -276,8 +261,6 @@ def main() -> None:
         if beside:
             places = [str(above).removeprefix(".") for above in Path(capture.folder).parents]
             found = sum(extract(git, capture.commit, place, folder, (TRANSFORMS,)) for place in places)
-            if capture.moved_on:
-                move_on(folder / TRANSFORMS, capture.moved_on)
             posed = f"{found} file of poses"
         elif capture.poses == POSES_BOUNDS:
             posed = extract_bounds(git, capture, folder)
