@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from bench_generalisation import mean_of_splits, tables, worse_with_time
+from bench_generalisation import mean_of_splits, table_by_marks, table_of_fits, worse_with_time
 
 
 def run(split: int, minutes: float, seed: int, psnr: float) -> tuple:
@@ -24,9 +24,20 @@ def test_row_and_loss_by_splits():
             *(run(1, minutes, 1, psnr) for minutes, psnr in ((1, 21.0), (3, 20.0))),
         ]
     )
-    (row,) = tables(runs, ["now"], by_marks=True)["rows"]
+    (row,) = table_by_marks(runs, ["now"])["rows"]
     assert row[3:] == ["2 (3 runs)", "25.25", "25.00", "-0.25", ""]
     (line,) = worse_with_time(runs, "now")
     assert line.startswith("now: biker front 24: -0.25 dB")
     only_first = {key: figures for key, figures in runs.items() if key[2] == 0}
     assert worse_with_time(only_first, "now") == []
+
+
+def test_fits_of_checkouts_with_other_seeds():
+    """Each checkout by its own runs; a mark that one of them has not run has no row."""
+    runs = dict([run(0, 1, 0, 30.0), run(1, 1, 0, 20.0), run(1, 1, 1, 22.0), run(0, 3, 0, 31.0)])
+    for figures in runs.values():
+        figures["psnr_fitted"] = figures["psnr_plain"] + 1
+    before = run(0, 1, 0, 24.0)[1] | {"psnr_fitted": 24.5}
+    runs["first", "biker front 24", 0, 1, 0] = before
+    (row,) = table_of_fits(runs, ["first", "now"])["rows"]
+    assert row[3:] == ["1", "1, 2 (3 runs)", "24.50, 24.00", "26.50, 25.50", "+2.00, +1.50"]

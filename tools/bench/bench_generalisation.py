@@ -2,6 +2,7 @@
 
     python tools/bench/bench_generalisation.py DATA MADE --checkout NAME=PATH ... [--captures NAME ...]
         [--minutes 1 3 10] [--splits 0 1 2] [--seeds 0 1 2] [--set NAME:FIELD=JSON ...] [--passing]
+        [--layout pairs|marks|fits] [-o FILE]
 
 DATA holds `captures` and `scenes`, MADE receives the rendered captures (see `capture_set`), and holds those
 that `public_captures` has posed. Every run is a
@@ -167,6 +168,41 @@ def sky_cell(by_name: list[list[dict[str, Any]]], kind: str) -> str:
     return ", ".join(f"{np.mean(values):.3f}" if values else "" for values in means)
 
 
+def table_of_fits(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[str, Any]:
+    """A row for each capture and mark that all checkouts have run: PSNR after a fit of exposures and as
+    pictures are, by checkout, each over its own splits and seeds, and what the last gains over the first."""
+    rows = []
+    for capture in NAMES:
+        for minutes in sorted({key[3] for key in runs if key[1] == capture}):
+            rounds = {name: rounds_of(runs, capture, [name], [minutes]) for name in names}
+            if not all(rounds.values()):
+                continue
+            found = {
+                name: [runs[name, capture, split, minutes, seed] for split, seed in its]
+                for name, its in rounds.items()
+            }
+            means = [
+                [
+                    mean_of_splits(rounds[name], [run[kind] for run in its])
+                    for kind in ("psnr_fitted", "psnr_plain")
+                ]
+                for name, its in found.items()
+            ]
+            gains = [last - first for first, last in zip(means[0], means[-1], strict=True)]
+            row = [capture, use_of(capture), str(found[names[-1]][0]["photos"]), f"{minutes:g}"]
+            row += [", ".join(in_words(its) for its in rounds.values())]
+            row += [", ".join(f"{value:.2f}" for value in pair) for pair in means]
+            rows.append([*row, ", ".join(f"{gain:+.2f}" for gain in gains)])
+    columns = ["capture", "rules", "photos", "minutes", "splits", *names, "gain"]
+    return {"columns": columns, "rows": rows, "note": FITS_NOTE}
+
+
+FITS_NOTE = (
+    "Mean PSNR in dB of held-out thirds of the photos, after a fit of their exposures and as they are, over "
+    "splits, each the mean of its seeds, and the gain. Minutes of a model of what a step costs on two cores."
+)
+
+
 def row_by_marks(
     runs: dict[Key, dict[str, Any]],
     capture: str,
@@ -211,9 +247,8 @@ def table_by_marks(runs: dict[Key, dict[str, Any]], names: list[str]) -> dict[st
     return {"columns": columns, "rows": rows, "note": NOTE}
 
 
-def tables(runs: dict[Key, dict[str, Any]], names: list[str], *, by_marks: bool) -> dict[str, Any]:
-    """By marks, or of checkouts side by side."""
-    return table_by_marks(runs, names) if by_marks else table(runs, names)
+LAYOUTS = {"pairs": table, "marks": table_by_marks, "fits": table_of_fits}
+"""Of tables: checkouts side by side, how they fare in time, and after a fit of exposures and without."""
 
 
 def worse_with_time(runs: dict[Key, dict[str, Any]], name: str) -> list[str]:
@@ -247,9 +282,10 @@ def main() -> None:
         "--passing", action="store_true", help="something passes before a fifth of the photos"
     )
     parser.add_argument(
-        "--by-marks",
-        action="store_true",
-        help="several checkouts below one another, and how they fare in time",
+        "--layout",
+        choices=LAYOUTS,
+        help="of the table: checkouts side by side (pairs), how they fare in time (marks), or after a fit of"
+        " exposures and without (fits); default: marks for one checkout, else pairs",
     )
     parser.add_argument("-o", "--output", type=Path, default=FOLDER / "generalisation.json")
     options = parser.parse_args()
@@ -269,7 +305,8 @@ def main() -> None:
         # Another call may have been at other captures meanwhile.
         runs = known_runs(options.output) | runs
         print(name, capture, split, minutes, f"{score(runs[key]):.2f}", flush=True)
-        made = tables(runs, list(checkouts), by_marks=options.by_marks or len(checkouts) == 1)
+        layout = LAYOUTS[options.layout or ("marks" if len(checkouts) == 1 else "pairs")]
+        made = layout(runs, list(checkouts))
         write_results(options.output, {"runs": list(runs.values()), "table": made})
     for name in checkouts:
         print(*worse_with_time(runs, name), sep="\n")
