@@ -284,8 +284,11 @@ def check_photos(source: Path, images: Path, entries: Sequence[PosedPhoto], miss
     if not entries and not missing:
         raise InputError(f"{source}: names no photos")
     if not entries:
-        found = _folder_beside(images, missing[0])
-        hint = "put them there" if found is None else f"{found} has one of that name: rename it to images"
+        hint, name = "put them there", missing[0]
+        if (found := _folder_beside(images, name.rpartition("/")[2])) is not None:
+            hint = f"{found} has one of that name: rename it to images"
+        elif (found := _folder_beside(images, name)) is not None:
+            hint = f"{found} has one of that name: move what is in it there"
         raise InputError(
             f"{source}: none of its {len(missing):,} photos is in {images} "
             f"(the first is {some(missing[:1])}); {hint}"
@@ -293,15 +296,14 @@ def check_photos(source: Path, images: Path, entries: Sequence[PosedPhoto], miss
 
 
 def _folder_beside(images: Path, name: str) -> Path | None:
-    """A folder in the capture's, or in that of `images`, that has a photo of that name. It is told, not
-    taken: it may be one of masks or depths."""
-    file = name.rpartition("/")[2]
+    """A folder in the capture's, or in that of `images`, that has a photo of that name, with the folders
+    before it. It is told, not taken: it may be one of masks or depths."""
     for root in (images, images.parent):
         try:
             folders = sorted(one.path for one in os.scandir(root) if one.is_dir())
         except OSError:
             continue
-        found = next((Path(one) for one in folders if Files(Path(one)).photo(file)), None)
+        found = next((Path(one) for one in folders if Files(Path(one)).photo(name)), None)
         if found is not None:
             return found
     return None

@@ -30,6 +30,17 @@ def photos(tmp_path, png, pixels_of):
         png(tmp_path / f"images/{i}.png", pixels_of(i))
 
 
+def test_photos_one_folder_deeper_are_told(tmp_path, png, pixels_of, frames, transforms):
+    """A render's passes may each have a folder of photos by the same names: none is taken."""
+    for i in range(9):
+        png(tmp_path / f"rgb/train/r_{i}.png", pixels_of(i))
+    listed = [frame | {"file_path": f"./train/r_{i}"} for i, frame in enumerate(frames)]
+    transforms(tmp_path / "transforms_train.json", listed, **INTRINSICS)
+    with pytest.raises(InputError) as caught:
+        load_capture(tmp_path)
+    assert f"{tmp_path / 'rgb'} has one of that name: move what is in it there" in str(caught.value)
+
+
 def test_nerf_synthetic(tmp_path, png, pixels_of, cameras_of, transforms, to_opengl):
     cameras = cameras_of(6)
     for part, chosen in (("train", cameras[:4]), ("test", cameras[4:]), ("val", cameras)):
