@@ -77,7 +77,7 @@ def haze(name: str, made: Path, views: Any, parameters: Any, settings: Any) -> f
         drawn = draw_frame(parameters, view.camera, settings, Workspace()).image[..., 3]
         if (opacity == 0).any():
             found.append(float(drawn[opacity == 0].mean()))
-    return float(np.mean(found))
+    return float(np.mean(found)) if found else None
 
 
 HOLE = 0.7
@@ -96,7 +96,7 @@ def holes(views: Any, parameters: Any, settings: Any) -> float | None:
         drawn = draw_frame(parameters, view.camera, settings, Workspace()).image[..., 3]
         shown = drawn if view.mask is None else drawn[view.mask]
         found.append(float((shown < HOLE).mean()) if shown.size else 0.0)
-    return float(np.mean(found))
+    return float(np.mean(found)) if found else None
 
 
 def sky_errors(
