@@ -342,16 +342,16 @@ def test_a_run_with_exposures_resumes_bit_for_bit(views, start, tmp_path: Path) 
     np.testing.assert_array_equal(whole.exposures.table, resumed.exposures.table)
 
 
-@pytest.mark.parametrize("gains", [1, 100, 300])
-def test_what_gains_leave_is_told_however_few_pairs_are_left(gains, rng):
-    """A fit by least absolute differences meets as many of the values as it has unknowns."""
-    count = 400
-    left = rng.normal(scale=0.02, size=count - gains)
+@pytest.mark.parametrize("gains", [1, 40])
+def test_what_gains_leave_is_their_standard_deviation(gains, rng):
+    """Chance alone, where there are many more pairs than gains, some of which these meet."""
+    left = rng.normal(scale=0.02, size=800 - gains)
     differences = rng.permutation(np.concatenate([left, np.zeros(gains)]))
-    assert unexplained(differences, count - gains) == pytest.approx(0.02, rel=0.2)
+    assert unexplained(differences, 800 - gains) == pytest.approx(0.02, rel=0.15)
 
 
-def test_pairs_side_by_side_do_not_make_gains_certain(rng):
+@pytest.mark.parametrize("freedom", [399, 370, 200])
+def test_pairs_side_by_side_do_not_make_gains_certain(freedom, rng):
     """As of shine: photos side by side agree, and those from elsewhere do not."""
     near, far = rng.normal(scale=0.001, size=240), rng.normal(scale=0.1, size=160)
-    assert unexplained(np.concatenate([near, far]), 370) > 0.04
+    assert unexplained(np.concatenate([near, far]), freedom) > 0.015
