@@ -118,7 +118,7 @@ PUBLIC = {
     "engine": PublicCapture("judge", "mlieschang1007/1014_project", "images", 5),
     "museum": PublicCapture("choose", "vork/alexanderTheGreat", "images", 12),
     "bronze": PublicCapture("judge", "vork/ethiopianHead", "images", 16, poses=POSES_BOUNDS, cut_out=True),
-    "rose": PublicCapture("judge", CLIPASSO3D, "data/rose/rgb/train", 1, rendered=True),
+    "rose": PublicCapture("choose", CLIPASSO3D, "data/rose/rgb/train", 1, rendered=True),
     "bike": PublicCapture("judge", CLIPASSO3D, "data/bike/rgb/train", 1, rendered=True),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
