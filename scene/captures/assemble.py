@@ -71,6 +71,7 @@ def capture_of(
     entries, twice = _unique(posed.entries)
     _check_count(posed, [entry.name for entry in entries])
     entries, statistics = _without_lenses_that_do_not_show(entries, downscale)
+    folding = _folding_lenses(entries)
     held_out = _held_out(entries)
     if all(held_out):
         raise InputError(f"{posed.source}: all photos are held out; nothing is left to train on")
@@ -120,7 +121,8 @@ def capture_of(
         )
     if all(photo.held_out for photo in photos):
         left_out = some(sorted([*hidden, *opaque, *faint]))
-        raise InputError(f"{posed.source}: masks leave nothing of the photos to train on: {left_out}")
+        why = f"masks leave nothing of the photos to train on: {left_out}"
+        raise InputError(f"{posed.source}: {next(iter(folding), why)}")
     _check_count(posed, [photo.name for photo in photos])
 
     warnings = list(posed.warnings)
@@ -146,7 +148,7 @@ def capture_of(
         )
     if twice:
         warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {some(twice)}")
-    warnings += _folding_lenses(entries)
+    warnings += folding
     if lens == "undistort":
         warnings += _lens_notes(entries)
     usable = np.all(np.abs(posed.points) <= LARGEST_RADIUS, axis=1)

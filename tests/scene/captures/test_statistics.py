@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatview.scene import look_at
+from splatview.scene import InputError, look_at
 from splatview.scene.captures import load_capture
 from splatview.scene.captures.capture import LEAST_DISPLACEMENT, largest_displacement
 from splatview.scene.lens import COUNTS, Lens
@@ -47,6 +47,12 @@ def test_a_calibration_that_cannot_be_is_mentioned(k, is_wrong, tmp_path, colmap
         warnings = [line for line in load_capture(tmp_path, lens=use).warnings if "calibration" in line]
         assert len(warnings) == is_wrong
         assert all(f"(RADIAL: {k:.4g}, 0)" in line for line in warnings)
+
+
+def test_a_lens_that_shows_nothing_is_no_mask(tmp_path, colmap_capture):
+    colmap_capture(tmp_path, model=RADIAL, distortion=(-3000.0, 0.0))
+    with pytest.raises(InputError, match="of a photo is beyond what its lens"):
+        load_capture(tmp_path)
 
 
 def test_a_lens_that_does_not_show_is_left_out(tmp_path, colmap_capture):
