@@ -21,7 +21,7 @@ import numpy as np
 
 from splatview.measure.metrics import SSIM_WINDOW
 from splatview.scene import Camera, InputError
-from splatview.scene.captures.capture import Photo
+from splatview.scene.captures.capture import Photo, shown_share
 from splatview.scene.captures.photos import area_averaged, wholly_valid
 
 PLAIN = 8
@@ -112,8 +112,9 @@ class TrainViews:
     def __init__(self, views: Sequence[TrainView], seed: int) -> None:
         if not views:
             raise InputError("the capture has no photo to train on")
-        self.focal = float(np.median([view.camera.fx for view in views]))
-        """Median focal length in full size, px."""
+        self.focal = float(np.median([shown_share(view.camera) * view.camera.fx for view in views]))
+        """Median focal length in full size, px, but of long lenses no more than LONG_LENS: from as far as the
+        scene is a pixel shows the `Capture.extent` over this."""
         self._sizes: dict[int, list[TrainView]] = {1: list(views)}
         self._parts: dict[int, list[TrainView]] | None = None
         self._taken = np.arange(len(views))

@@ -12,6 +12,7 @@ import pytest
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import ImageModel
 from splatview.scene.captures import Capture
+from splatview.scene.captures.capture import LONG_LENS
 from splatview.scene.effects.effect import Effect, Saving
 from splatview.scene.effects.overrides import settings_for as scene_settings
 from splatview.scene.formats import load_scene, save_scene
@@ -256,6 +257,29 @@ def test_the_extent_is_how_far_the_scene_is(views: list[TrainView], start: Param
     assert extent(around) == around.scene_radius
     assert extent(ahead) == ahead.usual_distance > around.scene_radius
     assert extent(replace(ahead, guessed=True)) == ahead.scene_radius, "random points say nothing"
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0, 30.0])
+def test_from_farther_away_by_a_longer_lens_a_scene_is_as_large(
+    views: list[TrainView], start: Parameters, times: float
+) -> None:
+    colours = np.full((len(start.means), 3), 128, np.uint8)
+
+    around = capture_of(views, start.means.astype(float), colours)
+
+    def seen_from(factor: float) -> tuple[float, float]:
+        moved = []
+        for view in views:
+            pose, camera = view.camera.world_to_camera.copy(), view.camera
+            pose[:3, 3] *= factor
+            length = 2 * factor * max(camera.width, camera.height)
+            moved.append(replace(view, camera=replace(camera, world_to_camera=pose, fx=length, fy=length)))
+        capture = capture_of(moved, start.means.astype(float), colours)
+        return capture.extent, TrainViews(moved, 0).focal
+
+    (near, focal), (far, far_focal) = seen_from(1.0), seen_from(times)
+    assert far == pytest.approx(near) == around.scene_radius * LONG_LENS / 2
+    assert far_focal == pytest.approx(focal), "what a pixel shows is as large a part of it"
 
 
 def with_strays(start: Parameters) -> Parameters:

@@ -120,6 +120,14 @@ PUBLIC = {
     "bronze": PublicCapture("judge", "vork/ethiopianHead", "images", 16, poses=POSES_BOUNDS, cut_out=True),
     "rose": PublicCapture("choose", CLIPASSO3D, "data/rose/rgb/train", 1, rendered=True),
     "bike": PublicCapture("judge", CLIPASSO3D, "data/bike/rgb/train", 1, rendered=True),
+    "dancer": PublicCapture("judge", "xuxumiao777/dance_dataset", "images_512", 4, poses=POSES_JSON),
+    "skater": PublicCapture("judge", "hungvipqt15/Thesis_project_NVH", "uploads/images", 3, poses=POSES_JSON),
+    "hero": PublicCapture("judge", "Caesar-xxx/NERF", "custom_data/images", 8, poses=POSES_JSON),
+    "torch": PublicCapture(
+        "judge", "vork/blowtorch_photogrammetry", "images", 12, poses=POSES_BOUNDS, cut_out=True
+    ),
+    "trex": PublicCapture("judge", "BaliNem/Machine-Perception-Project-2", "dataset/trex/images_8", 2),
+    "tank": PublicCapture("judge", "ryo00427/blender", "spring_data/train", 2, rendered=True),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;

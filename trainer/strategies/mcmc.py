@@ -88,7 +88,7 @@ first. Chosen, with 0, 0.1, 0.3 and 1: there 27.8 (as empty), 34.5, 34.0 and 33.
 12 near` 26.59 and 27.40, `guitar RGBA 24` 38.75 and 38.93, `biker front 24` 42.09 and 42.42."""
 
 SMALLEST_REGULARISED = 0.1
-"""Pixels, seen from as far as the extent: thinner splats are not drawn to be thinner still."""
+"""Pixels, seen from as far as the scene is: thinner splats are not drawn to be thinner still."""
 
 
 def need_of_reg(photo_loss: float, full: float) -> float:
