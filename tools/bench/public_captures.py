@@ -127,7 +127,7 @@ PUBLIC = {
         "judge", "vork/blowtorch_photogrammetry", "images", 12, poses=POSES_BOUNDS, cut_out=True
     ),
     "trex": PublicCapture("judge", "BaliNem/Machine-Perception-Project-2", "dataset/trex/images_8", 2),
-    "tank": PublicCapture("judge", "ryo00427/blender", "spring_data/train", 2, rendered=True),
+    "tank": PublicCapture("choose", "ryo00427/blender", "spring_data/train", 2, rendered=True),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
@@ -143,7 +143,9 @@ office; games on a carpet; a carton of milk, cut out before white; a figure on a
 a lit keyboard; a can of beer on tiles; a mug on a table; a can on a sheet; a pot of gum before screens;
 tractors on a field; a room from its inside; a shiny figurine on a table; a plush bear on a table in an
 office; a bedroom, by a phone; a railway engine under the sky; a marble head in a museum; a
-bronze head that shines, cut out; a rose and a bicycle, rendered before black."""
+bronze head that shines, cut out; a rose and a bicycle, rendered before black; a dancer who stands still and a
+blowtorch, both cut out; a figure on a skateboard; a figure of a hero on a table in a flat; a skeleton in a
+hall, from 55 places side by side (Mildenhall et al. 2019); a tank, rendered by a long lens."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:

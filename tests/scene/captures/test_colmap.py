@@ -12,6 +12,7 @@ import pytest
 
 from splatview.scene import InputError, Lens, look_at
 from splatview.scene.captures import load_capture
+from splatview.scene.captures.capture import MOST_DEPTHS
 from splatview.scene.progress import Cancelled, Progress
 
 from .conftest import ring
@@ -51,6 +52,18 @@ def test_scene_radius(tmp_path, colmap_capture):
     ahead = replace(capture, points=eyes.mean(axis=0) + 7 * radius * rays)
     assert ahead.extent == ahead.usual_distance == pytest.approx(7 * radius)
     assert replace(ahead, guessed=True).extent == ahead.scene_radius
+
+
+def test_one_camera_far_away_makes_the_scene_no_larger(tmp_path, colmap_capture):
+    colmap_capture(tmp_path)
+    capture = load_capture(tmp_path)
+    pose = capture.train[0].camera.world_to_camera.copy()
+    pose[:3, 3] *= 1000
+    stray = replace(capture.train[0], camera=replace(capture.train[0].camera, world_to_camera=pose))
+    with_stray = replace(capture, photos=(stray, *capture.photos[1:]))
+    assert with_stray.scene_radius > 100 * capture.scene_radius
+    assert with_stray.extent <= MOST_DEPTHS * with_stray.usual_depth < 4 * capture.extent
+    assert replace(capture, points=np.full((3, 3), np.nan)).usual_depth == np.inf
 
 
 def test_by_the_folder_of_the_model_and_with_photos_beside_it(tmp_path, colmap_capture):
