@@ -73,6 +73,7 @@ from PIL import Image, ImageFilter
 
 from splatview.raster import Parameters, Workspace, draw_frame
 from splatview.scene import Camera, RenderSettings
+from splatview.scene.captures.capture import astray
 from splatview.trainer.adam_kernels import PhotoAdam
 from splatview.trainer.views import TrainView, opacities
 
@@ -274,6 +275,8 @@ def measured_evidence(
     """By the colours of what is at means (N, 3); photos that share too little are left out."""
     usable = means[np.isfinite(means).all(axis=1)].astype(np.float64)
     points = usable[:: max(-(-len(usable) // MOST_POINTS), 1)]
+    far = astray(np.array([view.camera.eye for view in views]))  # what one shows there is not what it is
+    views = [view for view, is_far in zip(views, far, strict=True) if not is_far]
     some = views[:: -(-len(views) // MOST_PHOTOS)]
     logs = [log_colours(points, view, background) for view in some]
     pairs, ratios, near = [], [], []

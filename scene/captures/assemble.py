@@ -22,7 +22,9 @@ from splatview.scene.captures.capture import (
     Pixels,
     PosedPhoto,
     PosedPhotos,
+    astray,
     check_photos,
+    gathered,
     intrinsics_of,
     largest_displacement,
     some,
@@ -158,7 +160,7 @@ def capture_of(
         warnings.append(f"{lost} of {len(usable)} points are not finite, or out of all bounds, and left out")
     guessed = len(points) < MIN_POINTS
     if guessed:
-        points, colours = random_points([photo.camera for photo in photos if not photo.held_out])
+        points, colours = random_points(gathered([photo.camera for photo in photos if not photo.held_out]))
         warnings.append(
             "the capture has no points on the surfaces; training looks for some in the photos, by stereo"
         )
@@ -178,12 +180,23 @@ def capture_of(
         ),
         warnings=tuple(warnings),
     )
-    if not LEAST_RADIUS <= capture.scene_radius <= LARGEST_RADIUS:
+    with np.errstate(over="ignore"):
+        distances = np.linalg.norm([photo.camera.eye - capture.middle for photo in photos], axis=1)
+    spread = max(capture.scene_radius, float(distances.max()))
+    if not (capture.scene_radius >= LEAST_RADIUS and spread <= LARGEST_RADIUS):
         raise InputError(
-            f"{posed.source}: its cameras and points are spread over {capture.scene_radius:.3g} units, which"
+            f"{posed.source}: its cameras and points are spread over {spread:.3g} units, which"
             " cannot be a scene; look for a pose that is far from the others"
         )
-    return capture
+    far = np.flatnonzero(astray(np.array([photo.camera.eye for photo in photos])))
+    if len(far):
+        times = distances[far].min() / np.median(distances)
+        names = some([photos[row].name for row in far])
+        warnings.append(
+            f"{len(far)} of {len(photos)} cameras stand {times:,.0f} times as far away as usual, or more: "
+            f"their poses may be wrong, and the size of the scene does not go by them: {names}"
+        )
+    return replace(capture, warnings=tuple(warnings))
 
 
 def _without_lenses_that_do_not_show(

@@ -456,16 +456,16 @@ def bench_split(
     return split_of(whole, split, PARTS[name].every if name in PARTS else None)
 
 
-Fault = Literal["turned 3", "turned 5", "moved", "swapped"]
-"""Wrong poses: turned by degrees, moved by `MOVED`, or those of other photos."""
+Fault = Literal["turned 3", "turned 5", "moved", "swapped", "far"]
+"""Wrong poses: turned by degrees, moved by `MOVED`, or those of other photos, or `FAR` away."""
 
-FAULTS: tuple[Fault, ...] = ("turned 3", "turned 5", "moved", "swapped")
+FAULTS: tuple[Fault, ...] = ("turned 3", "turned 5", "moved", "swapped", "far")
 
 FAULTY_SHARE = 0.1
 """Of the photos trained on, that get a wrong pose; one at least."""
 
-MOVED = 0.15
-"""Mean distances of the cameras to their middle."""
+MOVED, FAR = 0.15, 30.0
+"""Mean distances of the cameras to their middle; the second is how far one has gone backwards."""
 
 
 def with_fault(capture: Capture, fault: Fault, seed: int) -> tuple[Capture, list[str]]:
@@ -485,6 +485,8 @@ def with_fault(capture: Capture, fault: Fault, seed: int) -> tuple[Capture, list
             matrix = capture.photos[other].camera.world_to_camera
         elif fault == "moved":
             motion[:3, 3] = MOVED * extent * axis
+        elif fault == "far":
+            motion[2, 3] = FAR * extent
         else:
             x, y, z = axis
             cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

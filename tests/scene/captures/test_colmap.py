@@ -12,7 +12,7 @@ import pytest
 
 from splatview.scene import InputError, Lens, look_at
 from splatview.scene.captures import load_capture
-from splatview.scene.captures.capture import MOST_DEPTHS
+from splatview.scene.captures.capture import MOST_STRAY, astray
 from splatview.scene.progress import Cancelled, Progress
 
 from .conftest import ring
@@ -54,16 +54,32 @@ def test_scene_radius(tmp_path, colmap_capture):
     assert replace(ahead, guessed=True).extent == ahead.scene_radius
 
 
-def test_one_camera_far_away_makes_the_scene_no_larger(tmp_path, colmap_capture):
-    colmap_capture(tmp_path)
-    capture = load_capture(tmp_path)
-    pose = capture.train[0].camera.world_to_camera.copy()
-    pose[:3, 3] *= 1000
-    stray = replace(capture.train[0], camera=replace(capture.train[0].camera, world_to_camera=pose))
-    with_stray = replace(capture, photos=(stray, *capture.photos[1:]))
-    assert with_stray.scene_radius > 100 * capture.scene_radius
-    assert with_stray.extent <= MOST_DEPTHS * with_stray.usual_depth < 4 * capture.extent
-    assert replace(capture, points=np.full((3, 3), np.nan)).usual_depth == np.inf
+@pytest.mark.parametrize("times", [10, 1e9])
+def test_one_camera_far_away_makes_the_scene_no_larger(tmp_path, colmap_capture, times):
+    cameras = colmap_capture(tmp_path / "good")
+    good = load_capture(tmp_path / "good")
+    pose = cameras[3].world_to_camera.copy()
+    pose[:3, 3] *= times
+    cameras[3] = replace(cameras[3], world_to_camera=pose)
+    colmap_capture(tmp_path / "bad", cameras=cameras)
+    bad = load_capture(tmp_path / "bad")
+    others = replace(good, photos=tuple(photo for photo in good.photos if photo.name != bad.photos[3].name))
+    assert bad.scene_radius == pytest.approx(others.scene_radius)
+    np.testing.assert_allclose(bad.middle, others.middle)
+    assert bad.extent == pytest.approx(others.extent)
+    assert np.linalg.norm(bad.centre - good.centre) <= 2 * good.scene_radius
+    (told,) = (line for line in bad.warnings if "as far away" in line)
+    assert told.startswith("1 of 9 cameras stand") and told.endswith(bad.photos[3].name)
+    assert not any("as far away" in line for line in good.warnings)
+
+
+def test_many_cameras_from_farther_away_are_not_astray(tmp_path, colmap_capture):
+    eyes = np.array([camera.eye for camera in colmap_capture(tmp_path)])
+    for count in range(len(eyes)):
+        few = 0 < count < MOST_STRAY * len(eyes)
+        spread = eyes * np.where(np.arange(len(eyes)) < count, 100, 1)[:, None]
+        assert np.array_equal(np.flatnonzero(astray(spread)), np.arange(count if few else 0)), count
+    assert not astray(np.zeros((3, 3))).any()
 
 
 def test_by_the_folder_of_the_model_and_with_photos_beside_it(tmp_path, colmap_capture):
