@@ -30,9 +30,9 @@ WAYS = {"trained on": ["--set", 'outliers="off"'], "left out": [], "taken away":
 
 NOTE = (
     "A tenth of the photos trained on have a wrong pose: turned by 3 or 5 degrees, moved by 0.15 of the mean "
-    "distance of the cameras to their middle, swapped for that of another photo, or moved back by 30 of these "
-    "distances (far). One split with a third held out, a minute of the bench. Rules were chosen on the captures marked so, and are only judged by "
-    "the others."
+    "distance of the cameras to their middle, swapped for that of another photo, or moved back by 30 of "
+    "these distances (far). One split with a third held out, a minute of the bench. Rules were chosen on the "
+    "captures marked so, and are only judged by the others."
 )
 
 NOTE_TOLD = (
