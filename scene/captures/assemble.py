@@ -51,6 +51,9 @@ MAX_READERS = 8
 LEAST_RADIUS, LARGEST_RADIUS = 1e-9, 1e12
 """Of scenes, in their own units: float32 holds sizes and their squares with room to spare."""
 
+STRETCH_TO_MENTION = 2.5
+"""Of pixels: anamorphic lenses have up to 2."""
+
 LOSS_TO_MENTION = 0.05
 """Share of a photo that its undistorted picture does not show."""
 
@@ -150,7 +153,7 @@ def capture_of(
         )
     if twice:
         warnings.append(f"{len(twice)} photos are named twice; the first pose is used: {some(twice)}")
-    warnings += folding
+    warnings += folding + _stretched(entries)
     if lens == "undistort":
         warnings += _lens_notes(entries)
     usable = np.all(np.abs(posed.points) <= LARGEST_RADIUS, axis=1)
@@ -329,6 +332,21 @@ def _folding_lenses(entries: Sequence[PosedPhoto]) -> list[str]:
         f"{share:.0%} of a photo is beyond what its lens ({lens}) can show, and is not used: such a"
         " calibration is wrong; find it and the poses anew, or remove the distortion from the file"
     ]
+
+
+def _stretched(entries: Sequence[PosedPhoto]) -> list[str]:
+    """A line about the worst of the cameras whose pixels would be no squares by far."""
+    worst = max((entry.camera for entry in entries), key=lambda camera: _stretch(camera))
+    if not _stretch(worst) > STRETCH_TO_MENTION:
+        return []
+    return [
+        f"a photo's pixels would be {_stretch(worst):.3g} times as long one way as the other (focal lengths "
+        f"{worst.fx:.4g} and {worst.fy:.4g} px): such a calibration is wrong; find it and the poses anew"
+    ]
+
+
+def _stretch(camera: Camera) -> float:
+    return max(camera.fx / camera.fy, camera.fy / camera.fx)
 
 
 def capture_name(path: Path) -> str:

@@ -127,6 +127,7 @@ PUBLIC = {
         "judge", "vork/blowtorch_photogrammetry", "images", 12, poses=POSES_BOUNDS, cut_out=True
     ),
     "trex": PublicCapture("judge", "BaliNem/Machine-Perception-Project-2", "dataset/trex/images_8", 2),
+    "robot": PublicCapture("judge", "sangminkim-99/COLMAP_multicam", "images/robot", 2, poses=POSES_JSON),
     "tank": PublicCapture("choose", "ryo00427/blender", "spring_data/train", 2, rendered=True),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
@@ -145,7 +146,8 @@ tractors on a field; a room from its inside; a shiny figurine on a table; a plus
 office; a bedroom, by a phone; a railway engine under the sky; a marble head in a museum; a
 bronze head that shines, cut out; a rose and a bicycle, rendered before black; a dancer who stands still and a
 blowtorch, both cut out; a figure on a skateboard; a figure of a hero on a table in a flat; a skeleton in a
-hall, from 55 places side by side (Mildenhall et al. 2019); a tank, rendered by a long lens."""
+hall, from 55 places side by side (Mildenhall et al. 2019); things on a cloth, by the arm of a robot; a tank,
+rendered by a long lens."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:

@@ -82,6 +82,15 @@ def test_many_cameras_from_farther_away_are_not_astray(tmp_path, colmap_capture)
     assert not astray(np.zeros((3, 3))).any()
 
 
+@pytest.mark.parametrize("stretched", [1.9, 27.0, 1 / 27.0])
+def test_pixels_far_from_square_are_told_as_a_wrong_calibration(tmp_path, colmap_capture, stretched):
+    cameras = colmap_capture(tmp_path / "good")
+    cameras[2] = replace(cameras[2], fy=stretched * cameras[2].fx)
+    colmap_capture(tmp_path / "bad", cameras=cameras)
+    told = [line for line in load_capture(tmp_path / "bad").warnings if "calibration is wrong" in line]
+    assert ["27 times" in line for line in told] == [True] * (stretched != 1.9)
+
+
 def test_by_the_folder_of_the_model_and_with_photos_beside_it(tmp_path, colmap_capture):
     colmap_capture(tmp_path)
     assert len(load_capture(tmp_path / "sparse" / "0").photos) == 9
