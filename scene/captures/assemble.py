@@ -336,7 +336,7 @@ def _folding_lenses(entries: Sequence[PosedPhoto]) -> list[str]:
 
 def _stretched(entries: Sequence[PosedPhoto]) -> list[str]:
     """A line about the worst of the cameras whose pixels would be no squares by far."""
-    worst = max((entry.camera for entry in entries), key=lambda camera: _stretch(camera))
+    worst = max((entry.camera for entry in entries), key=_stretch)
     if not _stretch(worst) > STRETCH_TO_MENTION:
         return []
     return [
