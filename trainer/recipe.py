@@ -304,6 +304,10 @@ def automatic_steps(photos: int, everywhere: bool = False, shown: float = math.i
     (3 of 26) 29.23 and 30.17 in place of 29.39 and 30.47 (two splits each, three minutes), and `demo lens
     40`, as sparse, gains 3.6 between 5,000 and 11,000 steps.
 
+    Dropped: as many steps as there is time for, where there is none for a second scene. Three minutes, 10
+    photos, the scene that ends after two of them first: `skater` 30.24, 28.94 and 29.94 dB, 30.81, 28.73 and
+    30.00, `banana` (split 0) 27.93 and 27.34, 15 photos of `fox` 26.46 and 26.26, of `hero` 18.19 and 18.42.
+
     Dropped: to withhold an eighth of the photos for the first 40 % of the run, and to settle when they
     become worse. The 10 photos of `banana` miss the one by 0.3 dB in the end, though it comes back (0.0 dB
     on `miku 12 far`); and one photo tells little: there, where nobody stops the run, it falls by 3.9 dB
