@@ -6,11 +6,11 @@ they leave out of the full photos, or once an epoch brings nothing. Both are mea
 mean absolute difference: of pictures to their photos over whole epochs, and of full photos to themselves
 without what the smaller size cannot show.
 
-A fixed share of the run was too long for small, sharp photos: 66 transparent pictures of 200x200 (`playbot`)
-had 33.0 dB after a minute in place of 31.5. By the recipe as it stands that is gone: a minute of five captures
-ends 0.65 dB lower to 0.5 higher than by half the size for 30 % of the run, in all lower, and so do eight by
-half the size on this evidence, but for 30 % at most (coarse.json): few photos gain by being blurred for
-longer. So it is an option, and no default.
+A fixed share of the run was too long for small, sharp photos: 66 transparent pictures of 200x200
+(`playbot`) had 33.0 dB after a minute in place of 31.5. By the recipe as it stands that is gone: a minute of
+five captures ends 0.65 dB lower to 0.5 higher than by half the size for 30 % of the run, in all lower, and so
+do eight by half the size on this evidence, but for 30 % at most (coarse.json): few photos gain by being
+blurred for longer. So it is an option, and no default.
 """
 
 from __future__ import annotations
