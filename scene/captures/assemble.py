@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -36,6 +37,7 @@ from splatview.scene.captures.points import MIN_POINTS, first_points, random_poi
 from splatview.scene.captures.transparency import OPAQUE, outline_of, unknown_for, without_unknown
 from splatview.scene.errors import InputError
 from splatview.scene.formats import load_cameras
+from splatview.scene.image_model import NEAR
 from splatview.scene.lens import Lens
 from splatview.scene.progress import Progress
 
@@ -50,6 +52,9 @@ MAX_READERS = 8
 
 LEAST_RADIUS, LARGEST_RADIUS = 1e-9, 1e12
 """Of scenes, in their own units: float32 holds sizes and their squares with room to spare."""
+
+SMALL = 5 * NEAR
+"""Distance of a scene from its cameras below which the near plane cuts into it."""
 
 STRETCH_TO_MENTION = 2.5
 """Of pixels: anamorphic lenses have up to 2."""
@@ -190,6 +195,12 @@ def capture_of(
         raise InputError(
             f"{posed.source}: its cameras and points are spread over {spread:.3g} units, which"
             " cannot be a scene; look for a pose that is far from the others"
+        )
+    if capture.usual_distance < SMALL:
+        times = 10 ** math.ceil(-math.log10(capture.usual_distance))
+        warnings.append(
+            f"the scene is some {capture.usual_distance:.2g} units from its cameras, and nothing nearer than"
+            f" {NEAR:g} is drawn: multiply the places of cameras and points, by {times:,} say"
         )
     far = np.flatnonzero(astray(np.array([photo.camera.eye for photo in photos])))
     if len(far):

@@ -91,6 +91,18 @@ def test_pixels_far_from_square_are_told_as_a_wrong_calibration(tmp_path, colmap
     assert ["27 times" in line for line in told] == [True] * (stretched != 1.9)
 
 
+@pytest.mark.parametrize("factor", [1.0, 1e-4])
+def test_a_scene_within_the_near_plane_is_told(tmp_path, colmap_capture, cameras_of, factor):
+    cameras = []
+    for camera in cameras_of(9):
+        pose = camera.world_to_camera.copy()
+        pose[:3, 3] *= factor
+        cameras.append(replace(camera, world_to_camera=pose))
+    colmap_capture(tmp_path, cameras=cameras, points=factor * np.random.default_rng(1).normal(size=(12, 3)))
+    told = [line for line in load_capture(tmp_path).warnings if "multiply" in line]
+    assert ["by 10,000 say" in line for line in told] == [True] * (factor != 1)
+
+
 def test_by_the_folder_of_the_model_and_with_photos_beside_it(tmp_path, colmap_capture):
     colmap_capture(tmp_path)
     assert len(load_capture(tmp_path / "sparse" / "0").photos) == 9
