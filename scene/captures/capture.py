@@ -78,7 +78,7 @@ def astray(eyes: np.ndarray) -> np.ndarray:
     Dropped: an extent of at most 2.5 or 3 times the depth at which photos show the scene, which leaves it too
     large: `playbot RGBA 18`, a tenth of whose cameras are far away, has 30.46 dB with 2.5, 30.87 so (a minute
     of split 0; 21.45 before). Nor is it too large where cameras walk along a scene: 84 of them on a way of 28
-    units along robots 2.8 units away have 24.36 dB by an extent of 15, 24.04 by three depths, 22.83 by 1.2."""
+    units along robots 2.8 units away have 24.36 dB by an extent of 15, 24.04 by 3 depths, 22.83 by 1.2."""
     with np.errstate(over="ignore", invalid="ignore"):
         distances = np.linalg.norm(eyes - np.median(eyes, axis=0), axis=1)
         far = ~(distances <= STRAY * np.median(distances))
