@@ -50,10 +50,10 @@ class PhotoStatistics:
 LONG_LENS = 1.75
 """Focal length, in longer sides of the photo, of a lens that shows 32 degrees along these."""
 
-
-STRAY, MOST_STRAY = 6.0, 0.25
-"""Times the usual distance from the middle of the cameras beyond which one is astray, if no more than a share
-of them are: those of the bench's captures are within 4.1. See `astray`."""
+STRAY, MOST_STRAY = 6.0, 0.15
+"""Times the usual distance from the middle of the cameras beyond which one is astray: those of the bench's
+captures are within 4.1. And the share that may be: where more stand apart, as when somebody has stood still
+for most of a video and walked then, they belong to the scene. See `astray`."""
 
 
 def shown_share(camera: Camera) -> float:
@@ -81,8 +81,9 @@ def astray(eyes: np.ndarray) -> np.ndarray:
     units along robots 2.8 units away have 24.36 dB by an extent of 15, 24.04 by 3 depths, 22.83 by 1.2."""
     with np.errstate(over="ignore", invalid="ignore"):
         distances = np.linalg.norm(eyes - np.median(eyes, axis=0), axis=1)
-        far = ~(distances <= STRAY * np.median(distances))
-    return far if far.mean() < MOST_STRAY else np.zeros(len(eyes), np.bool_)
+        usual = np.median(distances)  # 0 on a tripod, which says nothing of how far away others are
+        far = ~(distances <= STRAY * usual)
+    return far if usual > 0 and far.mean() < MOST_STRAY else np.zeros(len(eyes), np.bool_)
 
 
 def gathered(cameras: Sequence[Camera]) -> list[Camera]:

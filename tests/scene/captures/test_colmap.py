@@ -80,6 +80,7 @@ def test_many_cameras_from_farther_away_are_not_astray(tmp_path, colmap_capture)
         spread = eyes * np.where(np.arange(len(eyes)) < count, 100, 1)[:, None]
         assert np.array_equal(np.flatnonzero(astray(spread)), np.arange(count if few else 0)), count
     assert not astray(np.zeros((3, 3))).any()
+    assert not astray(np.eye(9, 3) * [1, 0, 0]).any(), "a tripod, but for one photo"
 
 
 @pytest.mark.parametrize("stretched", [1.9, 27.0, 1 / 27.0])
