@@ -17,6 +17,7 @@ from splatview.scene import InputError
 from splatview.scene.captures import Capture
 from splatview.scene.captures.assemble import HOLD_OUT_EVERY, MAX_READERS
 from splatview.scene.captures.capture import PosedPhoto
+from splatview.scene.captures.panoramas import pixels_of_file
 from splatview.scene.captures.photos import downscaled_size
 from splatview.scene.errors import bytes_in_words
 from splatview.scene.formats.io import resident_memory
@@ -96,14 +97,14 @@ class PhotoSizes:
 def sizes_of_files(entries: Sequence[PosedPhoto], downscale: int) -> PhotoSizes:
     """By what a capture says before its photos are read: they may yet turn out to be transparent, and which
     are held out may be left to `HOLD_OUT_EVERY`."""
-    stored = [(entry.camera.width, entry.camera.height) for entry in entries]
-    pixels = [math.prod(downscaled_size(*size, downscale)) for size in stored]
+    sizes = [(entry.camera.width, entry.camera.height) for entry in entries]
+    pixels = [math.prod(downscaled_size(*size, downscale)) for size in sizes]
     held_out = [1 / HOLD_OUT_EVERY if entry.held_out is None else float(entry.held_out) for entry in entries]
     return PhotoSizes(
         pixels=sum(pixels),
         trained=round(sum(size * (1 - out) for size, out in zip(pixels, held_out, strict=True))),
         largest=max(pixels, default=0),
-        stored=max(map(math.prod, stored), default=0),
+        stored=max(map(pixels_of_file, entries), default=0),
         planes=3 + any(entry.mask is not None for entry in entries),
     )
 

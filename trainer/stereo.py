@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 
 from splatview.scene import Camera
-from splatview.scene.captures.photos import undistorted
+from splatview.scene.captures.resample import undistorted
 from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.trainer import stereo_kernels as kernels
 from splatview.trainer.views import TrainView

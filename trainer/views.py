@@ -22,7 +22,7 @@ import numpy as np
 from splatview.measure.metrics import SSIM_WINDOW
 from splatview.scene import Camera, InputError
 from splatview.scene.captures.capture import Photo, shown_share
-from splatview.scene.captures.photos import area_averaged, wholly_valid
+from splatview.scene.captures.resample import area_averaged, wholly_valid
 
 PLAIN = 8
 """Of 255: a colour that differs from the background by no more shows nothing else."""

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,9 @@ from splatview.scene.captures.capture import (
     some,
     tidy_name,
 )
+from splatview.scene.captures.panoramas import FACES
 from splatview.scene.captures.photo_files import photo_folders
-from splatview.scene.captures.photos import downscaled_size, read_pixels
+from splatview.scene.captures.photos import downscaled_size, read_file, read_pixels
 from splatview.scene.captures.points import MIN_POINTS, first_points, random_points
 from splatview.scene.captures.transparency import OPAQUE, outline_of, unknown_for, without_unknown
 from splatview.scene.errors import InputError
@@ -116,7 +118,8 @@ def capture_of(
             )
         )
 
-    reason = None if cut_out else unknown_for(list(outlines.values()), len(photos))
+    faces = len(FACES) if any(entry.face is not None for entry in entries) else 1
+    reason = None if cut_out else unknown_for(list(outlines.values()), len(photos), faces)
     if reason is not None:
         shown = [photo for photo in photos if photo.name not in faint]
         photos = [replace(photo, pixels=_without_unknown(photo.pixels)) for photo in shown]
@@ -252,7 +255,9 @@ def _check_count(posed: PosedPhotos, names: Sequence[str]) -> None:
 def _held_out(entries: Sequence[PosedPhoto]) -> list[bool]:
     if any(entry.held_out is not None for entry in entries):
         return [bool(entry.held_out) for entry in entries]
-    return [i % HOLD_OUT_EVERY == 0 for i in range(len(entries))]
+    # All faces of a panorama or none.
+    files = {path: i for i, path in enumerate(dict.fromkeys(entry.path for entry in entries))}
+    return [files[entry.path] % HOLD_OUT_EVERY == 0 for entry in entries]
 
 
 def _resized(entry: PosedPhoto, downscale: int, lens: LensUse):
@@ -275,18 +280,20 @@ def _read_all(entries: Sequence[PosedPhoto], how: How, progress: Progress) -> It
     downscale, _, lens, _ = how
     for entry in entries:
         _resized(entry, downscale, lens)
+    # A panorama is decoded once for all of its faces, which follow one another by their names.
+    files = [list(group) for _, group in groupby(entries, key=lambda entry: entry.path)]
     readers = max(1, min(MAX_READERS, os.cpu_count() or 1))
     pool = ThreadPoolExecutor(readers, thread_name_prefix="photos")
     try:
         progress.step(0.0)
         # Only a few ahead: what is read and waits is held in memory.
-        pending = [pool.submit(read_pixels, entry, *how) for entry in entries[: 2 * readers]]
-        for i in range(len(entries)):
+        pending = [pool.submit(read_file, file, *how) for file in files[: 2 * readers]]
+        for i in range(len(files)):
             result = pending[i].result()
-            progress.step((i + 1) / len(entries))
-            if len(pending) < len(entries):
-                pending.append(pool.submit(read_pixels, entries[len(pending)], *how))
-            yield result
+            progress.step((i + 1) / len(files))
+            if len(pending) < len(files):
+                pending.append(pool.submit(read_file, files[len(pending)], *how))
+            yield from result
     finally:
         pool.shutdown(cancel_futures=True)
 

@@ -257,10 +257,12 @@ class PosedPhoto:
     name: str
     path: Path
     camera: Camera
-    """With its lens, at the size of the file."""
+    """With its lens, at the size of the file, or of the face."""
     mask: Path | None = None
     held_out: bool | None = None
     """None: the capture does not say."""
+    face: str | None = None
+    """Which face of its file, a panorama, this is, see `panoramas`; None: the file is the photo."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

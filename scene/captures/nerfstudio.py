@@ -30,6 +30,7 @@ from splatview.scene.captures.capture import (
     check_photos,
     tidy_name,
 )
+from splatview.scene.captures.panoramas import FACES, faces_of
 from splatview.scene.captures.photo_files import photo_folders
 from splatview.scene.captures.photos import image_size
 from splatview.scene.captures.points import first_points
@@ -92,12 +93,20 @@ def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> Po
             shot_held_out = held_out if held_out_names is None else listed in held_out_names
             values, where = {**content, **frame, "file_path": name}, f"{where} ({excerpt(name)})"
             mask = _mask(values, where, whole, masks, name, lost)
-            entries.append(_shot(values, where, photo, mask, shot_held_out))
+            if _kind(values) in PANORAMAS:
+                entries += _faces(values, where, photo, mask, shot_held_out)
+            else:
+                entries.append(_shot(values, where, photo, mask, shot_held_out))
         if isinstance(content.get("ply_file_path"), str):
             listed = content["ply_file_path"]
             ply_names.append(listed if whole.photo(listed) else _without(listed, lost))
     check_photos(files[0][0], folder, entries, missing)
     points, colours, warnings = first_points(folder, ply_names, DEFAULT_POINTS)
+    if panoramas := sum(entry.face is not None for entry in entries) // len(FACES):
+        warnings = [
+            *warnings,
+            f"{panoramas} panoramas are cut into {len(FACES)} photos each, 90 degrees wide",
+        ]
     return PosedPhotos(
         source=files[0][0],
         images=folder,
@@ -178,6 +187,24 @@ def _shot(
     )
 
 
+def _faces(
+    values: Mapping[str, Any], where: str, photo: Path, mask: Path | None, held_out: bool | None
+) -> list[PosedPhoto]:
+    """Of a panorama, whose intrinsics are its size alone, and that is the file's."""
+    width, height = image_size(photo)
+    name, pose = tidy_name(values["file_path"]), _world_to_camera(values, where)
+    try:
+        camera = Camera(width=width, height=height, fx=1.0, fy=1.0, cx=0.0, cy=0.0, world_to_camera=pose)
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+    panorama = PosedPhoto(name=name, path=photo, camera=camera, mask=mask, held_out=held_out)
+    return list(faces_of(panorama))
+
+
+def _kind(values: Mapping[str, Any]) -> str:
+    return str(values.get("camera_model") or "").upper()
+
+
 def _mask(
     values: Mapping[str, Any], where: str, files: Files, masks: Files, name: str, lost: int
 ) -> Path | None:
@@ -248,12 +275,11 @@ def _intrinsics(values: Mapping[str, Any], key: str, where: str) -> tuple[float,
 def _lens(values: Mapping[str, Any], where: str) -> Lens:
     names = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
     k1, k2, k3, k4, k5, k6, p1, p2 = (_optional(values, name, 0.0, where) for name in names)
-    kind = str(values.get("camera_model") or "").upper()
+    kind = _kind(values)
     if kind in FISHEYE or values.get("is_fisheye") is True:
         model, distortion = "OPENCV_FISHEYE", (k1, k2, k3, k4)
     elif kind not in PERSPECTIVE:
-        what = "cut them into views of a pinhole camera" if kind in PANORAMAS else "undistort the photos"
-        raise InputError(f"{where}: lenses of the kind {excerpt(kind)} cannot be used; {what}")
+        raise InputError(f"{where}: lenses of the kind {excerpt(kind)} cannot be used; undistort the photos")
     elif kind == "FULL_OPENCV":
         model, distortion = kind, (k1, k2, p1, p2, k3, k4, k5, k6)
     else:

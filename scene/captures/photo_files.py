@@ -127,7 +127,7 @@ def fitted_to_copies(posed: PosedPhotos, progress: Progress) -> PosedPhotos:
     for i, entry in enumerate(entries):
         if i % AT_ONCE == 0:
             progress.check()
-        size = _size_of_copy(entry)
+        size = None if entry.face is not None else _size_of_copy(entry)
         if size is not None:
             entries[i] = replace(entry, camera=entry.camera.resized(*size))
             first, count = first or (entry, size), count + 1

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from PIL import ExifTags, Image
 
-from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import LensUse, MaskUse, Pixels, PosedPhoto
+from splatview.scene.captures.resample import (
+    ROWS_AT_ONCE,
+    area_averaged,
+    face_of,
+    pixels_that_see,
+    undistorted,
+    wholly_valid,
+)
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import open_image
-from splatview.scene.lens import FISHEYE_RADIUS, Lens, distort, undistort
 
 # ---- Which way up a photo is: cameras store pixels as the sensor lies, and note in EXIF how they were held.
 #
@@ -92,151 +98,6 @@ def _orientation(image: Image.Image) -> int:
         return 1
 
 
-# ---- Photos through a pinhole and at another size: undistortion and averaging by area.
-#
-# Where photos are to look as a pinhole would have taken them, their distortion is taken out once, when they
-# are loaded. What that costs was measured on pictures of a demo scene, 750x498, taken through a lens that
-# shifts pixels by up to 13 (k1 = -0.05) or 40 (k1 = -0.15) and brought back: PSNR against the pinhole's
-# picture is 45.3 and 44.2 dB at full size, 49.4 and 48.4 dB after downscaling by 2, 54.7 and 54.0 dB by 4,
-# where trained scenes reach 25 to 35 dB; leaving the distortion in gives 26.2 and 21.8 dB. It takes some
-# 0.1 s a megapixel on one core, once. What lies outside the pinhole's frame is lost, which is why training
-# through the lens is better where a lens bends much.
-
-
-ROWS_AT_ONCE = 64
-"""Rows of an undistorted photo worked on together: bounds the memory for its coordinates."""
-
-
-def undistorted(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """The photo as a pinhole of the same size, focal lengths and principal point would have taken it.
-
-    image: (H, W, C) uint8, C <= 4. Returns (H, W, C) uint8, and (H, W) bool: which pixels the photo covers.
-    Bilinear. The same focal lengths keep the scale at the centre; what a barrel-shaped photo shows beyond
-    the frame is lost, and what it does not reach is False.
-    """
-    height, width, channels = image.shape
-    # A pixel in one 32-bit word: a gather fetches all channels at once, 1.3 times as fast in all.
-    words = np.zeros((height, width, 4), dtype=np.uint8)
-    words[..., :channels] = image
-    flat = words.view(np.uint32).ravel()
-    right, down = int(width > 1), width if height > 1 else 0
-    out = np.zeros_like(words)
-    valid = np.zeros((height, width), dtype=bool)
-
-    def at(indices: np.ndarray) -> np.ndarray:
-        return flat.take(indices).view(np.uint8).reshape(-1, 4).astype(np.float32)
-
-    u = (np.arange(width) + 0.5 - camera.cx) / camera.fx
-    v = (np.arange(height) + 0.5 - camera.cy) / camera.fy
-    lens = camera.lens or Lens(model="PINHOLE")
-    for top in range(0, height, ROWS_AT_ONCE):
-        rows = slice(top, min(top + ROWS_AT_ONCE, height))
-        rays = np.stack(np.broadcast_arrays(u[None, :], v[rows, None]), axis=-1)
-        there = distort(rays, lens)
-        # From pixel centres: 0 is the middle of the first pixel.
-        x = there[..., 0] * camera.fx + camera.cx - 0.5
-        y = there[..., 1] * camera.fy + camera.cy - 0.5
-        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        if np.isfinite(lens.valid_radius):
-            inside &= np.hypot(rays[..., 0], rays[..., 1]) < lens.valid_radius
-        valid[rows] = inside
-        x, y = x[inside].astype(np.float32), y[inside].astype(np.float32)
-        left = np.clip(x.astype(np.int64), 0, max(width - 2, 0))
-        upper = np.clip(y.astype(np.int64), 0, max(height - 2, 0))
-        ax, ay = (x - left)[:, None], (y - upper)[:, None]
-        first = upper * width + left
-        above, below = at(first), at(first + down)
-        above += (at(first + right) - above) * ax
-        below += (at(first + down + right) - below) * ax
-        above += (below - above) * ay
-        out[rows][inside] = (above + 0.5).astype(np.uint8)
-    return out[..., :channels], valid
-
-
-def pixels_that_see(camera: Camera) -> np.ndarray | None:
-    """(H, W) bool: pixels that the lens shows something at, which corners of a fisheye's picture often are
-    not; None where all are."""
-    lens = camera.lens
-    border = camera.visible_slopes
-    if lens is None or not max(map(abs, border)) >= min(lens.valid_radius, FISHEYE_RADIUS):
-        return None
-    return _pixels_that_see(
-        lens, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
-    ).copy()
-
-
-@lru_cache(maxsize=16)
-def _pixels_that_see(
-    lens: Lens, width: int, height: int, fx: float, fy: float, cx: float, cy: float
-) -> np.ndarray:
-    seen = np.empty((height, width), dtype=bool)
-    x, y = (np.arange(width) + 0.5 - cx) / fx, (np.arange(height) + 0.5 - cy) / fy
-    for top in range(0, height, ROWS_AT_ONCE):
-        rows = slice(top, min(top + ROWS_AT_ONCE, height))
-        points = np.stack(np.broadcast_arrays(x[None, :], y[rows, None]), axis=-1)
-        seen[rows] = np.isfinite(undistort(points, lens)).all(axis=-1)
-    return seen
-
-
-def area_averaged(
-    image: np.ndarray, width: int, height: int, extent: tuple[float, float] | None = None
-) -> np.ndarray:
-    """(H, W, C) uint8 -> (height, width, C) uint8, no larger than it was: each pixel is the mean of the area
-    that it covers, pixels of the edge in parts. `extent`: what there is of the image in its pixels (x, y),
-    where the last ones reach beyond."""
-    if image.shape[:2] == (height, width):
-        return image
-    x, y = extent or (image.shape[1], image.shape[0])
-    factor = image.shape[1] // width
-    if image.shape[:2] == (y, x) == (factor * height, factor * width):
-        return _averaged_by(factor, image)
-    rows = _average_rows(image, height, y)
-    columns = _average_rows(np.ascontiguousarray(rows.transpose(1, 0, 2)), width, x)
-    return (columns.transpose(1, 0, 2) + 0.5).astype(np.uint8)
-
-
-def wholly_valid(mask: np.ndarray, width: int, height: int) -> np.ndarray:
-    """(H, W) bool -> (height, width) bool: True where all of the area is."""
-    ignored = area_averaged(np.where(mask, 0, 255).astype(np.uint8)[..., None], width, height)[..., 0]
-    if mask.shape == (height, width):
-        return mask
-    # A part below 1/510 of a pixel's area rounds to nothing, as it does in the colour.
-    return ignored == 0
-
-
-def _averaged_by(factor: int, image: np.ndarray) -> np.ndarray:
-    """(H, W, C) uint8 -> (H / factor, W / factor, C) uint8, where both are whole: by whole numbers, the same
-    as by areas. RGB of 16 megapixels takes 0.05 s in place of 0.15 by a factor of four, grey levels 0.016 in
-    place of 0.09. (Dropped: `Image.reduce`, as fast, but a tenth of a level too dark by three.)"""
-    rows = image[::factor].astype(np.uint32 if factor > MOST_ROWS else np.uint16)
-    for i in range(1, factor):
-        rows += image[i::factor]
-    sums = rows[:, ::factor].astype(np.uint32)
-    for i in range(1, factor):
-        sums += rows[:, i::factor]
-    return (sums / np.float32(factor**2) + np.float32(0.5)).astype(np.uint8)
-
-
-def _average_rows(image: np.ndarray, count: int, extent: float) -> np.ndarray:
-    """(H, W, C) -> (count, W, C) float32, of the first `extent` rows."""
-    height = len(image)
-    flat = image.reshape(height, -1)
-    out = np.empty((count, flat.shape[1]), dtype=np.float32)
-    edges = np.arange(count + 1) * (extent / count)
-    for i in range(count):
-        first = min(int(edges[i]), height - 1)
-        last = min(int(np.ceil(edges[i + 1] - 1e-9)), height)
-        covered = np.minimum(np.arange(first, last) + 1, edges[i + 1]) - np.maximum(
-            np.arange(first, last), edges[i]
-        )
-        weights = (covered / covered.sum()).astype(np.float32)
-        out[i] = weights @ flat[first:last].astype(np.float32)
-    return out.reshape(count, *image.shape[1:])
-
-
-MOST_ROWS = 257
-"""Pixels whose sum 16 bits hold."""
-
 MASK_THRESHOLD = 128
 """Of 255: darker pixels of a mask are ignored. Masks saved as JPEG have no clean black."""
 
@@ -272,10 +133,55 @@ def read_pixels(
     masks: MaskUse = "ignore",
 ) -> Pixels:
     """The photo as it is trained on. Raises InputError."""
+    return read_file([entry], downscale, background, lens, masks)[0]
+
+
+def read_file(
+    entries: Sequence[PosedPhoto],
+    downscale: int,
+    background: tuple[float, float, float],
+    lens: LensUse,
+    masks: MaskUse = "ignore",
+) -> list[Pixels]:
+    """The photos of one file as they are trained on: one, or faces of a panorama. Raises InputError."""
     # Numbers out of all bounds put a pixel nowhere, which is no pixel of the photo. Here, as each thread that
     # reads has its own state of errors.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _read_pixels(entry, downscale, background, lens, masks)
+        if entries[0].face is not None:
+            return _read_faces(entries, downscale, background, masks)
+        return [_read_pixels(entry, downscale, background, lens, masks) for entry in entries]
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a file shows, with its mask."""
+
+    image: np.ndarray
+    """(H, W, 3) uint8."""
+    alpha: np.ndarray | None
+    """(H, W) uint8; None where it is opaque everywhere."""
+    mask: np.ndarray | None
+    """(h, w) bool, of the whole file's size: which pixels count; None where all do, or masks cut out."""
+    smaller: int
+    """By what `image` is smaller each way, edges rounded up."""
+
+
+def _shown(
+    entry: PosedPhoto,
+    size: tuple[int, int],
+    background: tuple[float, float, float],
+    masks: MaskUse,
+    smaller: int,
+) -> Shown:
+    """Of a file of (width, height) `size`, which may be `smaller` by that much. Raises InputError."""
+    cuts = masks == "cut-out" and entry.mask is not None
+    # Masks are of the whole photo's pixels.
+    decoded = _decode(entry.path, size, background, 1 if cuts else smaller)
+    image, alpha = decoded.rgb, decoded.alpha
+    mask = None if entry.mask is None else _decode_mask(entry.mask, size)
+    if cuts and mask is not None:
+        (image, alpha), mask = _cut_out(image, alpha, mask, background), None
+    return Shown(image, alpha, mask, decoded.smaller)
 
 
 def _read_pixels(
@@ -286,44 +192,75 @@ def _read_pixels(
     masks: MaskUse,
 ) -> Pixels:
     size = entry.camera.width, entry.camera.height
-    cuts, undistorts = masks == "cut-out", entry.camera.lens is not None and lens == "undistort"
-    # Masks and lenses are of the whole photo's pixels.
-    whole = undistorts or (cuts and entry.mask is not None)
+    undistorts = entry.camera.lens is not None and lens == "undistort"
     # At most as much smaller by the decoder as by averaging after it, which cuts off less. At half the size,
     # averages of 2x2 differ from averages of all of 4x4 by 42 and 46 dB (photos of `miku` and `banana`), of
     # 4x4 by 45 and 52; by quarters and 2x2 it is 39 and 37. A photo of 12 megapixels takes 0.035 s of a
-    # processor in place of 0.16.
-    decoded = _decode(entry.path, size, background, 1 if whole else math.isqrt(downscale))
-    image, alpha, mask = decoded.rgb, decoded.alpha, None
-    if entry.mask is not None:
-        mask = _decode_mask(entry.mask, size)
-        if cuts:
-            image, alpha = _cut_out(image, alpha, mask, background)
-            mask = None
+    # processor in place of 0.16. Lenses are of the whole photo's pixels.
+    shown = _shown(entry, size, background, masks, 1 if undistorts else math.isqrt(downscale))
+    image, alpha, mask = shown.image, shown.alpha, shown.mask
     if undistorts:
         # The mask goes along as a fourth channel: all of a pixel's sources must be white for it to count.
-        channels = [image] if mask is None else [image, np.where(mask, 255, 0).astype(np.uint8)[..., None]]
-        image, valid = undistorted(np.concatenate(channels, axis=2), entry.camera)
+        image, valid = undistorted(_with_mask(image, mask), entry.camera)
         if mask is not None:
             valid &= image[..., 3] == 255
         if alpha is not None:
             alpha = undistorted(alpha[..., None], entry.camera)[0][..., 0]
         image, mask = image[..., :3], valid
     width, height = downscaled_size(*size, downscale)
-    extent = size[0] / decoded.smaller, size[1] / decoded.smaller
-    image = np.ascontiguousarray(area_averaged(image, width, height, extent))
-    image.flags.writeable = False
+    extent = size[0] / shown.smaller, size[1] / shown.smaller
+    image = area_averaged(image, width, height, extent)
     if alpha is not None:
-        alpha = np.ascontiguousarray(area_averaged(alpha[..., None], width, height)[..., 0])
-        alpha.flags.writeable = False
+        alpha = area_averaged(alpha[..., None], width, height)[..., 0]
     if mask is not None:
         mask = wholly_valid(mask, width, height)
     if entry.camera.lens is not None and lens == "through":
         seen = pixels_that_see(entry.camera.resized(width, height))
         mask = seen if mask is None or seen is None else mask & seen
-    if mask is not None:
-        mask.flags.writeable = False
-        mask = None if mask.all() else mask
+    return _pixels(image, mask, alpha)
+
+
+def _read_faces(
+    entries: Sequence[PosedPhoto],
+    downscale: int,
+    background: tuple[float, float, float],
+    masks: MaskUse,
+) -> list[Pixels]:
+    """Faces of one panorama, cut from it at a whole number of times their final size."""
+    first = entries[0]
+    shown = _shown(first, image_size(first.path), background, masks, math.isqrt(downscale))
+    mask = shown.mask
+    if mask is not None and shown.smaller > 1:
+        mask = wholly_valid(mask, shown.image.shape[1], shown.image.shape[0])
+    channels = _with_mask(shown.image, mask)
+    found = []
+    for entry in entries:
+        face, size = entry.face or "", entry.camera.width
+        side, _ = downscaled_size(size, size, downscale)
+        larger = side * max(round(size / shown.smaller / side), 1)
+        image, alpha, valid = face_of(channels, face, larger), shown.alpha, None
+        if mask is not None:
+            valid = wholly_valid(image[..., 3] == 255, side, side)
+        if alpha is not None:
+            alpha = area_averaged(face_of(alpha[..., None], face, larger), side, side)[..., 0]
+        found.append(_pixels(area_averaged(image[..., :3], side, side), valid, alpha))
+    return found
+
+
+def _with_mask(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+    """(H, W, 3) uint8, or (H, W, 4) with the mask (H, W), 255 where it is true."""
+    if mask is None:
+        return image
+    return np.concatenate([image, np.where(mask, 255, 0).astype(np.uint8)[..., None]], axis=2)
+
+
+def _pixels(image: np.ndarray, mask: np.ndarray | None, alpha: np.ndarray | None) -> Pixels:
+    image = np.ascontiguousarray(image)
+    alpha = None if alpha is None else np.ascontiguousarray(alpha)
+    mask = None if mask is None or mask.all() else mask
+    for array in (image, mask, alpha):
+        if array is not None:
+            array.flags.writeable = False
     return Pixels(image=image, mask=mask, alpha=alpha)
 
 

@@ -34,15 +34,16 @@ def outline_of(alpha: np.ndarray) -> np.ndarray:
     return alpha[np.ix_(rows.astype(int), columns.astype(int))] >= 128
 
 
-def unknown_for(outlines: Sequence[np.ndarray], photos: int) -> str | None:
-    """Why what the transparent of so many photos do not show is unknown, by the outlines of these; None where
-    it is empty."""
+def unknown_for(outlines: Sequence[np.ndarray], photos: int, faces: int = 1) -> str | None:
+    """Why what the transparent of so many photos do not show is unknown, by the outlines of these, so many of
+    which in a row are faces of one panorama; None where it is empty."""
     if not outlines:
         return None
     if len(outlines) < LEAST_PHOTOS * photos:
         return "most photos show something everywhere"
     shown = np.stack(outlines)
-    other = np.roll(shown, max(len(shown) // 3, 1), axis=0)  # neighbours are like one another in any case
+    # Neighbours are like one another in any case, and a face is compared with the same one of another file.
+    other = np.roll(shown, max(len(shown) // 3 // faces, 1) * faces, axis=0)
     shown_alike = (shown & other).sum() >= ALIKE * (shown | other).sum()
     gone_alike = (~shown & ~other).sum() >= GONE_ALIKE * (~shown | ~other).sum()
     if len(shown) > 1 and shown.mean() >= LEAST_SHOWN and shown_alike and gone_alike:

@@ -12,7 +12,8 @@ from PIL import ExifTags, Image
 
 from splatview.scene import Camera, Lens
 from splatview.scene.captures.capture import PosedPhoto
-from splatview.scene.captures.photos import area_averaged, read_pixels, undistorted, wholly_valid
+from splatview.scene.captures.photos import read_pixels
+from splatview.scene.captures.resample import area_averaged, undistorted, wholly_valid
 from splatview.scene.lens import distort, undistort
 
 
