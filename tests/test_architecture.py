@@ -34,7 +34,7 @@ FLOORS = (
 FLOOR_OF = {package: floor for floor, packages in enumerate(FLOORS) for package in packages}
 
 MOST_LINES = 600
-MOST_MODULES = 346
+MOST_MODULES = 348
 """Fewer than 250 when the house was renovated; every format, tool and strategy since is one more."""
 
 AT_LOAD, IN_FUNCTION, FOR_TYPES = "when loaded", "in a function", "for type checkers"

@@ -491,19 +491,37 @@ def kind_of_trainer(settings: TrainSettings, group: Group | None, loss: LossPlug
     return EnsembleTrainer if settings.trains_several and alone else Trainer
 
 
+SAME_PLACE = 1e-3
+"""Of the way to the farthest camera, within which two stand in one place, as all faces of a panorama do."""
+
+
+def neighbours(a: int, places: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Rows of the `NEIGHBOURS` nearest to camera `a`, by places (P, 3): of those in one place, that which
+    looks the same way most, by axes (P, 3), and none in its own, unless all are."""
+    distances = np.linalg.norm(places - places[a], axis=1)
+    apart, kept = SAME_PLACE * distances.max(), []
+    order = np.argsort(distances)
+    for row in order[distances[order] > apart]:
+        if len(kept) == NEIGHBOURS:
+            break
+        if all(np.linalg.norm(places[row] - places[other]) > apart for other in kept):
+            there = np.flatnonzero(np.linalg.norm(places - places[row], axis=1) <= apart)
+            kept.append(int(there[np.argmax(axes[there] @ axes[a])]))
+    return np.array(kept or order[order != a][:NEIGHBOURS])
+
+
 def cameras_between(cameras: Sequence[Camera], count: int, seed: int) -> list[Camera]:
     """Cameras on the ways from each of `cameras`, three at least, to one that is near, see `NEIGHBOURS` and
     `BEYOND`; with the sizes and lenses of the first."""
     rng = np.random.default_rng([seed, 5])
     places = np.stack([-camera.R_camera_world.T @ camera.t_camera_world for camera in cameras])
+    axes = np.stack([camera.forward for camera in cameras])
     found = []
     for number in range(count):
         a = number % len(cameras)
-        camera, distances = cameras[a], np.linalg.norm(places - places[a], axis=1)
-        distances[a] = -1
-        order = np.argsort(distances)[1 : NEIGHBOURS + 1]
+        camera, order = cameras[a], neighbours(a, places, axes)
         b, along = int(rng.choice(order)), rng.uniform(-BEYOND, 1 + BEYOND)
-        aside = rng.normal(size=3) * ASIDE * distances[order[0]]
+        aside = rng.normal(size=3) * ASIDE * np.linalg.norm(places[order[0]] - places[a])
         place = places[a] + along * (places[b] - places[a]) + aside
         ends = quaternion(camera.R_camera_world), quaternion(cameras[b].R_camera_world)
         shaken = matrix_of(exponential(rng.normal(size=3) * ASIDE / 5))

@@ -29,6 +29,7 @@ from splatview.trainer.ensemble import (
     begins_for_most,
     cameras_between,
     kind_of_trainer,
+    neighbours,
 )
 from splatview.trainer.evaluate import evaluate
 from splatview.trainer.free_space import GONE, block_of
@@ -423,6 +424,20 @@ def test_cameras_at_one_place_stay_there() -> None:
     turned = [look_at((1, 2, 3), target, width=60, height=40) for target in ((0, 0, 0), (1, 0, 0), (0, 0, 1))]
     for camera in cameras_between(turned, 20, seed=0):
         assert np.allclose(camera.eye, (1, 2, 3))
+
+
+def test_cameras_lie_between_places_where_several_photos_share_one() -> None:
+    """As faces of panoramas do: from each to those of others that look the same way."""
+    eyes = np.array([(0, 0, 0), (1, 0, 0), (2, 0.3, 0), (3, 0, 0.2)], np.float64)
+    ways = np.array([(1, 0, 0.1), (-1, 0, 0.1), (0.1, 0, 1), (0.1, 0, -1)], np.float64)
+    cameras = [look_at(eye, eye + way, width=60, height=40) for eye in eyes for way in ways]
+    places, axes = np.repeat(eyes, len(ways), axis=0), np.array([camera.forward for camera in cameras])
+    for row in range(len(cameras)):
+        chosen = neighbours(row, places, axes)
+        assert len({place // len(ways) for place in chosen} - {row // len(ways)}) == len(chosen) == 3
+        assert (chosen % len(ways) == row % len(ways)).all()
+    around = np.array([camera.eye for camera in cameras_between(cameras, 100, seed=0)])
+    assert np.median(np.linalg.norm(around[:, None] - eyes, axis=-1).min(axis=1)) > 0.2
 
 
 def test_of_two_photos_there_is_one_scene(make: Make, views: list[TrainView], start: Parameters) -> None:
