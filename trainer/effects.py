@@ -278,15 +278,13 @@ def with_scenes(
 
 def _scenes(settings: TrainSettings) -> Effect:
     if settings.trains_several:
-        steps = f"{settings.iterations:,} steps" if settings.iterations else ""
+        steps_of_one = steps = f"{settings.iterations:,} steps" if settings.iterations else ""
         if settings.shorter is not None:
             if settings.shorter[0] != settings.iterations:  # as many where only splats are fewer
                 steps = f"{settings.shorter[0]:,} steps, or {steps} where photos are met well,"
             if settings.withheld > 0:
-                steps = (
-                    "one is trained to the end, or, if withheld photos speak for it,"
-                    f" {settings.shorter[0]:,} steps"
-                )
+                one = steps_of_one or "one is trained to the end"
+                steps = f"{one}, or, if withheld photos speak for it, {settings.shorter[0]:,} steps"
         why = (
             f"{steps} end a scene: others follow, {settings.ensemble} in all at most,"
             " and one that learns from them, as far as there is time"

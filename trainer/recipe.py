@@ -331,9 +331,13 @@ LEAST_SHORTER, MOST_SHORTER = 2 / 3, 4_200
 there should be time for; and the steps of each of several scenes at most."""
 
 
-FEWEST_TRIED, LEAST_TRIED = 16, 2_500
+FEWEST_TRIED, LEAST_TRIED = 10, 2_500
 """Photos, and steps of each of several scenes, from which on a run withholds some of the photos to see
-whether it is to train several, see `automatic_tried`. Of fewer photos a sixth tells little."""
+whether it is to train several, see `automatic_tried`. Of fewer photos those withheld would be half."""
+
+FEWEST_TO_GO_ON = 16
+"""Photos from which on the last of several scenes goes on from the one before it, see `ensemble.GOES_ON_AT`;
+of fewer ones it begins anew, as all of theirs do."""
 
 
 def automatic_shorter(
@@ -375,13 +379,14 @@ def automatic_shorter(
         fewer = min(unmet, round(budget), MOST_SHORTER)
         least = max(min(LEAST_UNMET, unmet), LEAST_OF_OBJECTS * photos)
         return fewer if least <= budget and fewer < steps else None
-    few = photos < FEWEST_TRIED
+    few = photos < FEWEST_TO_GO_ON
     return min(MOST_SHORTER, steps) if few and LEAST_SHORTER * steps <= budget < steps else None
 
 
-SCENES_TRIED = 2.75
-"""Scenes that there is time for then: two, a last one that is half as long, as it goes on from the one before
-it, and some to spare."""
+def scenes_tried(photos: int) -> float:
+    """Scenes that there is time for then: two, a last one that is half as long where it goes on from the one
+    before it, and some to spare."""
+    return LEAST_SCENES - 0.5 * (photos >= FEWEST_TO_GO_ON)
 
 
 def automatic_tried(
@@ -401,7 +406,7 @@ def automatic_tried(
     of `imp` at 540x960 px (split 2, a gap of 2.0 dB) have 22.73 dB by one and 22.23 by several of 2,541
     steps, ten of `museum` at 844x844 px (split 0, 3.9) 19.40 and 20.47, of 4,200 (both chosen)."""
     in_all = of_a_minute * minutes * min(threads, MOST_THREADS) / 2
-    budget = in_all / SCENES_TRIED
+    budget = in_all / scenes_tried(photos)
     # As many scenes as there are at most are longer, if there is time.
     tried = round(max(min(budget, MOST_SHORTER), in_all / (MEMBERS + 1)))
     least = MOST_SHORTER if large else LEAST_TRIED

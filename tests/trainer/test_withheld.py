@@ -358,7 +358,11 @@ def test_how_long_scenes_are_that_are_tried() -> None:
     assert automatic_tried(52, None, minutes=2, threads=2) is None  # 2,182 steps are few
     assert automatic_tried(52, None, minutes=10, threads=2) == 4_200
     assert automatic_tried(52, None, minutes=30, threads=2) == 10_000  # eight, a last one, and some to spare
-    assert automatic_tried(15, None, minutes=10, threads=2) is None
+    assert automatic_tried(9, None, minutes=10, threads=2) is None
+    assert automatic_tried(13, 7_800, minutes=3, threads=2) == 2_769  # the last one begins anew
+    assert automatic_tried(13, 7_800, minutes=2, threads=2) is None
+    assert automatic_tried(13, 7_800, minutes=10, threads=2) == 4_200
+    assert automatic_tried(10, 4_650, minutes=10, threads=2) == 4_200
     assert automatic_tried(26, 15_600, minutes=3, threads=2) == 3_273
     assert automatic_tried(26, 15_600, minutes=10, threads=2) == 4_200
     assert automatic_tried(26, 15_600, minutes=20, threads=2) == 6_667
