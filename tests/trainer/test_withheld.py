@@ -16,7 +16,7 @@ from splatview.scene import RenderSettings
 from splatview.trainer.checkpoint import load_checkpoint, restore, save_checkpoint
 from splatview.trainer.effects import SCENES, WITHHELD, capture_effects
 from splatview.trainer.ensemble import GOES_ON_AT, EnsembleTrainer
-from splatview.trainer.recipe import MEMBERS, automatic_tried, most_scenes
+from splatview.trainer.recipe import FEWEST_TO_GO_ON, MEMBERS, automatic_tried, most_scenes
 from splatview.trainer.run import Outputs, TrainingRun
 from splatview.trainer.settings import TrainSettings
 from splatview.trainer.setup import settings_for
@@ -26,6 +26,7 @@ from splatview.trainer.withheld import (
     ENOUGH_LOOKS,
     FEWEST,
     LEAST_GAP,
+    LEAST_GAP_OF_FEW,
     MOST,
     SHARE,
     WITHHELD_FROM,
@@ -213,6 +214,29 @@ def test_far_from_others_several_scenes_are_trained(
     run(trainer, lambda: trainer.done)
     assert trainer.counters.seconds == pytest.approx(60, abs=0.1) and len(trainer.members) == count
     assert trainer.scene is trainer.splats and trainer.progress == 1
+
+
+def test_of_few_photos_the_last_scene_begins_anew(
+    views: list[TrainView], start: Parameters, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = views[: FEWEST_TO_GO_ON - 4]
+    finds(monkeypatch, 100.0)
+    trainer = decided(trainer_of(few, start, iterations=5 * STEPS))
+    assert trainer.is_short and trainer.batch == 1
+    run(trainer, lambda: trainer.taught is not None)
+    count = len(trainer.members)
+    assert count > 1 and not trainer.goes_on and trainer.scene_progress < 0.02
+    assert len(trainer.splats) == len(start.means) and trainer.scene is not trainer.splats
+    begun = trainer.counters.iteration
+    run(trainer, lambda: trainer.done)
+    assert trainer.counters.iteration == pytest.approx(begun + STEPS, abs=2)
+    assert trainer.counters.seconds <= 60.1 and len(trainer.members) == count
+    assert trainer.scene is trainer.splats and trainer.progress == 1
+
+
+def test_more_is_asked_of_few_photos() -> None:
+    for photos, least in ((FEWEST_TO_GO_ON - 1, LEAST_GAP_OF_FEW), (FEWEST_TO_GO_ON, LEAST_GAP)):
+        assert Withheld(photos, SHARE, 0, ENOUGH_LOOKS * photos).least_gap == pytest.approx(least)
 
 
 @pytest.mark.parametrize("gap", [ASKED_GAP - 0.01, math.nan])

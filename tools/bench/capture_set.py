@@ -365,15 +365,17 @@ PARTS = {
     "miku 8 near": Part("judge", "miku", 8, "near"),
     "miku 12 far": Part("choose", "miku", 12),
     "miku 12 near": Part("choose", "miku", 12, "near"),
-    "miku 20 far": Part("judge", "miku", 20),
+    "miku 20 far": Part("choose", "miku", 20),
     "miku 20 near": Part("choose", "miku", 20, "near"),
     "miku 24 far": Part("judge", "miku", 24),
     "miku 40 far": Part("choose", "miku", 40),
+    "fox 20 far": Part("judge", "fox", 20),
     "fox 24 far": Part("choose", "fox", 24),
     "fox 24 near": Part("choose", "fox", 24, "near"),
     "building 24 near": Part("choose", "building", 24, "near"),
     "building, every 8th": Part("judge", "building", every=EVERY),
     "mouse 24 far": Part("choose", "mouse", 24),
+    "hero 20 far": Part("judge", "hero", 20),
 }
 
 NAMES = (*REAL, *PARTS, *PUBLIC, *RENDERED)
