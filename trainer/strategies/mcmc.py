@@ -120,7 +120,10 @@ class MCMCSettings(DensitySettings):
     """Settings of the sampling strategy."""
 
     grow_for: float = 12_000 / PAPER_ITERATIONS
-    """mcmc: share of the run, from `refine_from` on, in which the number grows to `max_splats`."""
+    """mcmc: share of the run, from `refine_from` on, in which the number grows to `max_splats`. What
+    opacities had no room for is made up for until `refine_until`: until 0.7, in place of 0.5, `trex` has
+    28.17 dB in place of 28.31 after a minute, `playbot RGBA 18` 31.21 of 31.19, `skater` 30.44 of 30.24
+    after three."""
     noise: float = 5e5
     """mcmc: noise on positions, in units of their rate. See `NOISE_EXTENT`."""
     opacity_reg: float = LEAST_REG
