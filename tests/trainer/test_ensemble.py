@@ -643,7 +643,7 @@ def test_large_photos_leave_no_time_for_several_scenes(start: Parameters) -> Non
     colours, rng = np.full((len(start.means), 3), 128, np.uint8), np.random.default_rng(5)
     large = 1000, 800
     for photos, (width, height), minutes, shorter, withheld in (
-        *((12, (80, 60), 6.0, True, False), (12, large, 3.0, False, False), (12, large, 20.0, True, True)),
+        *((12, (80, 60), 6.0, True, False), (12, large, 3.0, False, False), (12, large, 9.0, True, True)),
         *((21, (80, 60), 3.0, True, True), (21, large, 3.0, False, False), (21, large, 20.0, True, True)),
     ):
         ring = [(3 * np.sin(a), 0.5, 3 * np.cos(a)) for a in np.linspace(0, 6, photos)]

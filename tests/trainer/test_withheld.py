@@ -385,8 +385,9 @@ def test_how_long_scenes_are_that_are_tried() -> None:
     assert automatic_tried(9, None, minutes=10, threads=2) is None
     assert automatic_tried(13, 7_800, minutes=3, threads=2) == 2_769  # the last one begins anew
     assert automatic_tried(13, 7_800, minutes=2, threads=2) is None
-    assert automatic_tried(13, 7_800, minutes=10, threads=2) == 4_200
-    assert automatic_tried(10, 4_650, minutes=10, threads=2) == 4_200
+    assert automatic_tried(13, 7_800, minutes=5, threads=2) == 4_200
+    assert automatic_tried(13, 7_800, minutes=10, threads=2) is None  # there is time for several long ones
+    assert automatic_tried(10, 4_650, minutes=3, threads=2) == 2_769
     assert automatic_tried(26, 15_600, minutes=3, threads=2) == 3_273
     assert automatic_tried(26, 15_600, minutes=10, threads=2) == 4_200
     assert automatic_tried(26, 15_600, minutes=20, threads=2) == 6_667
