@@ -36,8 +36,6 @@ CLIPASSO3D = "tarhanefe/clipasso3d"
 
 SCENE2MESH = "akristoffersen/Scene2Mesh"
 
-RAILS = "wufake70/RailsDataSynthesis"
-
 INSTANT_NGP = "Uddhav786/Enhancing-3D-Scene-Reconstruction-with-NeRF-and-NVIDIA-s-Instant-NGP"
 
 
@@ -131,8 +129,9 @@ PUBLIC = {
     "trex": PublicCapture("judge", "BaliNem/Machine-Perception-Project-2", "dataset/trex/images_8", 2),
     "robot": PublicCapture("judge", "sangminkim-99/COLMAP_multicam", "images/robot", 2, poses=POSES_JSON),
     "tank": PublicCapture("choose", "ryo00427/blender", "spring_data/train", 2, rendered=True),
-    "girl": PublicCapture("judge", RAILS, "girl/images", 4, poses="girl/colmap_sparse/0"),
-    "rails": PublicCapture("judge", RAILS, "rails_test/004/images", 8),
+    "girl": PublicCapture(
+        "judge", "wufake70/RailsDataSynthesis", "girl/images", 4, poses="girl/colmap_sparse/0"
+    ),
 }
 """Name in the bench -> what it is. A castle before a bright sky, photos of different exposure; a doll on a
 chair, with flash; a stuffed head indoors; a street from the middle of it, with people; a trunk in a wood;
@@ -151,7 +150,7 @@ office; a bedroom, by a phone; a railway engine under the sky; a marble head in 
 bronze head that shines, cut out; a rose and a bicycle, rendered before black; a dancer who stands still and a
 blowtorch, both cut out; a figure on a skateboard; a figure of a hero on a table in a flat; a skeleton in a
 hall, from 55 places side by side (Mildenhall et al. 2019); things on a cloth, by the arm of a robot; a tank,
-rendered by a long lens; a figure that sits on a pot, before a screen; a rail in the sun."""
+rendered by a long lens; a figure that sits on a pot, before a screen."""
 
 
 def git_folder(clones: Path, repository: str) -> Path:
