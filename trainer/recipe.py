@@ -407,7 +407,8 @@ def automatic_tried(
     steps, ten of `museum` at 844x844 px (split 0, 3.9) 19.40 and 20.47, of 4,200 (both chosen).
 
     Nor is it for fewer than FEWEST_TO_GO_ON photos where there is time for several long scenes: ten minutes
-    of `miku 20 far` (split 0, a gap of 4.9) have 24.94 dB by three of 7,800 steps, 24.08 by eight of 4,200.
+    of `miku 20 far` (split 0, a gap of 4.9) had 24.94 dB by three of 7,800 steps and an earlier recipe, and
+    have 24.08 by eight of 4,200.
     Dropped: scenes of 1,900 steps, too, for these; three minutes of `hero 20 far` (6.5) have 20.27 dB by one,
     20.17 by several of 2,123."""
     in_all = of_a_minute * minutes * min(threads, MOST_THREADS) / 2
