@@ -20,6 +20,7 @@ from splatview.scene import Camera
 from splatview.scene import lens_formula as formula
 from splatview.scene.lens_formula import (
     LEAST_RADIUS_SQUARED,
+    LEAST_RHO_SQUARED,
     LensForm,
     lens_bending,
     lens_jacobian,
@@ -108,6 +109,10 @@ def magnified(form, u, v):
     if form.slope > 0:
         g = atan_lanes(form.slope * r) / (form.unit * r)
         g_r = form.slope / (form.unit + form.unit * form.slope * form.slope * rr)
+    elif form.alpha > 0:
+        rho = math.sqrt(max(1.0 + form.beta * rr, LEAST_RHO_SQUARED))
+        g = 1.0 / (1.0 - form.alpha + form.alpha * rho)
+        g_r = g * g * (1.0 - form.alpha + form.alpha / rho)
     return r, g, g_r
 
 

@@ -4,8 +4,9 @@ Coordinates are those of the plane one unit in front of the eye: u = x/z, v = y/
 (fx·u' + cx, fy·v' + cy) with (u', v') = distort(u, v). The models and the order of their parameters are
 COLMAP's (its documentation, "Camera Models"), but for RADIAL4 (k1 k2 k3 k4 p1 p2), which nerfstudio and
 Metashape use. The formulas are those of Brown (1966), of Kannala and Brandt (2006) for fisheyes, of
-Devernay and Faugeras (2001) for FOV, and of Weng et al. (1992) for thin prisms; `lens_formula` is all of
-them in one.
+Devernay and Faugeras (2001) for FOV, of Weng et al. (1992) for thin prisms, of Khomutenko et al. (2016) for
+EUCM, and of Fitzgibbon (2001) for division, which is EUCM with alpha = 1/2 and beta = -4·k; `lens_formula`
+is all of them in one.
 
 Only what lies before the eye is seen, z > 0: of a fisheye of 180 degrees or more, what is within
 FISHEYE_REACH.
@@ -20,7 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from splatview.scene.lens_formula import LEAST_RADIUS_SQUARED, LensForm, lens_jacobian, lens_point
+from splatview.scene.lens_formula import (
+    LEAST_RADIUS_SQUARED,
+    LEAST_RHO_SQUARED,
+    LensForm,
+    lens_jacobian,
+    lens_point,
+)
 
 Points = np.ndarray
 """(..., 2), u and v."""
@@ -39,6 +46,11 @@ COUNTS = {
     "RADIAL_FISHEYE": 2,
     "THIN_PRISM_FISHEYE": 8,
     "RAD_TAN_THIN_PRISM_FISHEYE": 12,
+    "SIMPLE_DIVISION": 1,
+    "DIVISION": 1,
+    "SIMPLE_FISHEYE": 0,
+    "FISHEYE": 0,
+    "EUCM": 2,
 }
 """Parameters of each model beside focal lengths and principal point."""
 
@@ -80,12 +92,18 @@ class Lens:
             raise ValueError(f"the parameters of a {self.model} lens must be finite")
         if self.model == "FOV" and not abs(self.parameters[0]) < math.pi:
             raise ValueError(f"the angle of a FOV lens must be below pi, got {self.parameters[0]}")
+        if self.model == "EUCM":
+            alpha, beta = self.parameters
+            if not (0 <= alpha <= 1 and beta > 0):
+                raise ValueError(
+                    f"alpha of an EUCM lens must be from 0 to 1, and beta above 0, got {alpha} and {beta}"
+                )
 
     @cached_property
     def is_pinhole(self) -> bool:
         """Whether it changes nothing. A fisheye without distortion changes a lot."""
         form = _form_of(self)
-        return not form.slope and not any(form[2:17])
+        return not form.slope and not form.alpha * form.beta and not _has_distortion(form)
 
     @cached_property
     def form(self) -> LensForm:
@@ -104,6 +122,11 @@ class Lens:
         return f"{self.model}: {', '.join(f'{value:.4g}' for value in self.parameters)}"
 
 
+def _has_distortion(form: LensForm) -> bool:
+    """Whether there is more to it than a bend: steps 2 and 3 of `lens_formula`."""
+    return any(form[LensForm._fields.index("n1") : LensForm._fields.index("valid_radius_squared")])
+
+
 def _form_of(lens: Lens) -> LensForm:
     """All but the reach, which is inf."""
     k = lens.parameters
@@ -119,7 +142,7 @@ def _form_of(lens: Lens) -> LensForm:
         case "FULL_OPENCV":
             changes = {**_stretched((k[0], k[1], k[4])), "p1": k[2], "p2": k[3]}
             changes |= {"d1": k[5], "d2": k[6], "d3": k[7]}
-        case "OPENCV_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE":
+        case "OPENCV_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE" | "SIMPLE_FISHEYE" | "FISHEYE":
             changes = {**fisheye, **_stretched(k)}
         case "FOV":
             omega = abs(k[0])
@@ -132,6 +155,10 @@ def _form_of(lens: Lens) -> LensForm:
             # Here the first of the pair goes with u; in the models above the second does.
             changes = {**fisheye, **_stretched(k[:6]), "p2": k[6], "p1": k[7], "skew_last": True}
             changes |= {"s1": k[8], "s2": k[9], "s3": k[10], "s4": k[11]}
+        case "SIMPLE_DIVISION" | "DIVISION":
+            changes = {"alpha": 0.5, "beta": -4 * k[0]}
+        case "EUCM":
+            changes = {"alpha": k[0], "beta": k[1]}
     numbers: dict[str, Any] = dict.fromkeys(LensForm._fields, 0.0)
     numbers |= {"unit": 1.0, "valid_radius_squared": math.inf, "skew_last": False}
     return LensForm(**{**numbers, **changes})
@@ -145,9 +172,14 @@ def magnifications(form: LensForm, rr: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """r, g and g_r of `lens_formula` at r² = `rr`, in the dtype of `rr`."""
     rr = np.maximum(rr, rr.dtype.type(LEAST_RADIUS_SQUARED))
     r = np.sqrt(rr)
-    if not form.slope:
-        return r, np.ones_like(r), np.ones_like(r)
-    return r, np.arctan(form.slope * r) / (form.unit * r), form.slope / (form.unit * (1 + form.slope**2 * rr))
+    if form.slope:
+        angle = np.arctan(form.slope * r)
+        return r, angle / (form.unit * r), form.slope / (form.unit * (1 + form.slope**2 * rr))
+    if form.alpha:
+        rho = np.sqrt(np.maximum(1 + form.beta * rr, rr.dtype.type(LEAST_RHO_SQUARED)))
+        g = 1 / (1 - form.alpha + form.alpha * rho)
+        return r, g, g * g * (1 - form.alpha + form.alpha / rho)
+    return r, np.ones_like(r), np.ones_like(r)
 
 
 def distort(points: Points, lens: Lens) -> Points:
@@ -184,6 +216,11 @@ def undistort(points: Points, lens: Lens) -> Points:
             # As if there were no more than the fisheye: its edge is far out on the plane.
             angle = np.linalg.norm(target, axis=-1, keepdims=True)
             rays *= np.tan(np.minimum(angle * form.unit, 1.5)) / (form.slope * np.maximum(angle, 1e-12))
+        elif form.alpha:
+            # The inverse itself; NaN or behind the eye where no ray goes there.
+            squared = (target * target).sum(axis=-1, keepdims=True)
+            rest = form.alpha * np.sqrt(1 - (2 * form.alpha - 1) * form.beta * squared) + 1 - form.alpha
+            rays *= rest / (1 - form.alpha**2 * form.beta * squared)
         for _ in range(NEWTON_STEPS):
             error = distort(rays, lens) - target
             J = _jacobians(rays, form)
@@ -213,8 +250,12 @@ def undistort(points: Points, lens: Lens) -> Points:
 def _valid_radius(form: LensForm) -> float:
     """See `Lens.valid_radius`: the least r at which the determinant of the derivative is no longer above
     0."""
-    most = FISHEYE_RADIUS if form.slope else math.inf
-    if not any(form[2:17]):
+    most = math.inf
+    if form.slope or form.alpha * form.beta > 0:
+        most = FISHEYE_RADIUS
+    elif form.alpha * form.beta < 0:
+        most = math.sqrt((LEAST_RHO_SQUARED - 1) / form.beta)
+    if not _has_distortion(form):
         return most
     angle = np.linspace(0, 2 * np.pi, FOLD_DIRECTIONS, endpoint=False)
     directions = np.stack([np.cos(angle), np.sin(angle)], axis=-1)

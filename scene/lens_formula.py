@@ -2,7 +2,8 @@
 
 A ray of the pinhole at (u, v) = (x/z, y/z) goes to (u', v') in three steps:
 
-1.  bend     a = g·(u, v): for fisheyes g = atan(slope·r) / (unit·r), r = |(u, v)|, else 1;
+1.  bend     a = g·(u, v), r = |(u, v)|: for fisheyes g = atan(slope·r) / (unit·r); for a unified camera
+             g = 1 / (1 - alpha + alpha·rho), rho = sqrt(1 + beta·r²), which is 1 where alpha is 0;
 2.  stretch  b = a·N(q)/D(q), q = |a|², N and D polynomials that begin with 1;
 3.  skew     (u', v') = b + T(w): lenses that sit askew, and thin prisms, with w = a, or b where the model
              says so: T = (2·p1·x·y + p2·(3·x² + y²) + s1·q + s2·q²,
@@ -22,6 +23,11 @@ LEAST_RADIUS_SQUARED = 1e-16
 """What r² is at least taken as, so that nothing divides by 0: nearer to the axis sin, tan and the angle
 itself are the same number."""
 
+LEAST_RHO_SQUARED = 1e-5
+"""What rho² is at least taken as. Where beta is below 0 it ends at 0, and g_r has a pole there; float32 has
+rho² to 1e-7, so that g_r is right to 1 % up to here. Rays beyond are not seen: of what a division lens
+shows, the last 0.3 % of the radius."""
+
 
 class LensForm(NamedTuple):
     """The numbers of the formula, all float but the last."""
@@ -29,6 +35,9 @@ class LensForm(NamedTuple):
     slope: float
     """0 where the lens is no fisheye."""
     unit: float
+    alpha: float
+    """0 where the lens is no unified camera."""
+    beta: float
     n1: float
     n2: float
     n3: float
@@ -145,9 +154,14 @@ def lens_bending(form: Any, u: Any, v: Any, r: Any, g: Any, g_r: Any, du: Any, d
     nx, ny, along = u / r, v / r, g_r - g
     bend = (g + along * nx * nx, along * nx * ny, along * nx * ny, g + along * ny * ny)
     dr = nx * du + ny * dv
-    slope_squared = form.slope * form.slope
     dg = along / r * dr
-    d_along = -2 * slope_squared * r * g_r / (1 + slope_squared * r * r) * dr - dg
+    if form.slope > 0:
+        slope_squared = form.slope * form.slope
+        d_along = -2 * slope_squared * r * g_r / (1 + slope_squared * r * r) * dr - dg
+    else:
+        # Of g_r = g²·(1 - alpha + alpha / rho); all 0 where g is 1.
+        by_rho = (g_r - (1 - form.alpha) * g * g) * form.beta * r / (1 + form.beta * r * r)
+        d_along = 2 * g_r / g * dg - by_rho * dr - dg
     turn_x, turn_y = along / r * (du - nx * dr), along / r * (dv - ny * dr)
     off = d_along * nx * ny + turn_x * ny + turn_y * nx
     d_bend = (

@@ -42,6 +42,7 @@ def view_uniforms(camera: Camera, settings: RenderSettings, centre: np.ndarray) 
         form = camera.lens.form
         rays |= {
             "u_lens_bend": (form.slope, form.unit),
+            "u_lens_unified": (form.alpha, form.beta),
             "u_lens_stretch": (form.n1, form.n2, form.n3),
             "u_lens_higher": (form.n4, form.n5, form.n6),
             "u_lens_divide": (form.d1, form.d2, form.d3),

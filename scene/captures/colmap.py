@@ -16,7 +16,9 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 
 from splatview.scene.captures.capture import AT_ONCE, Files, PosedPhoto, PosedPhotos, check_photos, tidy_name
+from splatview.scene.captures.panoramas import faces_of, lines_about
 from splatview.scene.captures.photo_files import FOLDERS, photo_folders
+from splatview.scene.captures.photos import image_size
 from splatview.scene.errors import InputError
 from splatview.scene.formats.colmap import (
     find_model,
@@ -134,15 +136,12 @@ def read_colmap(folder: Path, found: Model, progress: Progress) -> PosedPhotos:
             missing.append(name)
             continue
         lens = image_lens(image, intrinsics, paths)
-        entries.append(
-            PosedPhoto(
-                name=name,
-                path=path,
-                camera=image_camera(image, lens, paths[1]),
-                mask=masks.mask(name),
-                held_out=None if held_out is None else name in held_out,
-            )
-        )
+        camera, mask = image_camera(image, lens, paths[1]), masks.mask(name)
+        shot_held_out = None if held_out is None else name in held_out
+        if lens.panorama:
+            entries += faces_of(path, image_size(path), name, camera.world_to_camera, mask, shot_held_out)
+        else:
+            entries.append(PosedPhoto(name=name, path=path, camera=camera, mask=mask, held_out=shot_held_out))
     check_photos(paths[1], photos.root, entries, missing)
     points, colours = read_points(model)
     return PosedPhotos(
@@ -152,7 +151,7 @@ def read_colmap(folder: Path, found: Model, progress: Progress) -> PosedPhotos:
         missing=missing,
         points=points,
         point_colours=colours,
-        warnings=found.warnings,
+        warnings=[*found.warnings, *lines_about(entries)],
     )
 
 

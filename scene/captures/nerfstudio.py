@@ -30,7 +30,7 @@ from splatview.scene.captures.capture import (
     check_photos,
     tidy_name,
 )
-from splatview.scene.captures.panoramas import FACES, faces_of
+from splatview.scene.captures.panoramas import faces_of, lines_about
 from splatview.scene.captures.photo_files import photo_folders
 from splatview.scene.captures.photos import image_size
 from splatview.scene.captures.points import first_points
@@ -102,11 +102,6 @@ def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> Po
             ply_names.append(listed if whole.photo(listed) else _without(listed, lost))
     check_photos(files[0][0], folder, entries, missing)
     points, colours, warnings = first_points(folder, ply_names, DEFAULT_POINTS)
-    if panoramas := sum(entry.face is not None for entry in entries) // len(FACES):
-        warnings = [
-            *warnings,
-            f"{panoramas} panoramas are cut into {len(FACES)} photos each, 90 degrees wide",
-        ]
     return PosedPhotos(
         source=files[0][0],
         images=folder,
@@ -114,7 +109,7 @@ def read_transforms(folder: Path, files: list[Frames], progress: Progress) -> Po
         missing=missing,
         points=points,
         point_colours=colours,
-        warnings=warnings,
+        warnings=[*warnings, *lines_about(entries)],
     )
 
 
@@ -191,14 +186,13 @@ def _faces(
     values: Mapping[str, Any], where: str, photo: Path, mask: Path | None, held_out: bool | None
 ) -> list[PosedPhoto]:
     """Of a panorama, whose intrinsics are its size alone, and that is the file's."""
-    width, height = image_size(photo)
     name, pose = tidy_name(values["file_path"]), _world_to_camera(values, where)
     try:
-        camera = Camera(width=width, height=height, fx=1.0, fy=1.0, cx=0.0, cy=0.0, world_to_camera=pose)
+        return list(faces_of(photo, image_size(photo), name, pose, mask, held_out))
+    except InputError:
+        raise
     except ValueError as error:
         raise InputError(f"{where}: {error}") from None
-    panorama = PosedPhoto(name=name, path=photo, camera=camera, mask=mask, held_out=held_out)
-    return list(faces_of(panorama))
 
 
 def _kind(values: Mapping[str, Any]) -> str:

@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from splatview.scene.camera import Camera
 from splatview.scene.captures.capture import PosedPhoto
 from splatview.scene.errors import InputError
+from splatview.scene.formats.panorama import side_of
 
 FACES: dict[str, np.ndarray] = {
     name: np.array(axes, dtype=np.float64).T
@@ -38,12 +39,6 @@ def is_panorama(width: int, height: int) -> bool:
     return width == 2 * height
 
 
-def side_of(width: int) -> int:
-    """Pixels each way of a face of a panorama so wide: as many to an angle in its middle as there, along the
-    horizon, so that nothing is lost."""
-    return max(round(width / math.pi), 1)
-
-
 def pixels_of_file(entry: PosedPhoto) -> int:
     """Those that the file of a photo, or of a face, has: what its decoder holds."""
     width, height = entry.camera.width, entry.camera.height
@@ -62,20 +57,32 @@ def places_in(face: str, side: int, rows: np.ndarray) -> tuple[np.ndarray, np.nd
     return longitude / (2 * math.pi) + 0.5, below / math.pi + 0.5
 
 
-def faces_of(panorama: PosedPhoto) -> Iterator[PosedPhoto]:
-    """The photos that a panorama is cut into. Its `camera` says where it stands, and what size, px, its file
-    has. Raises InputError where it does not go all the way round."""
-    width, height = panorama.camera.width, panorama.camera.height
+def faces_of(
+    path: Path,
+    size: tuple[int, int],
+    name: str,
+    world_to_camera: np.ndarray,
+    mask: Path | None,
+    held_out: bool | None,
+) -> Iterator[PosedPhoto]:
+    """The photos that a panorama is cut into: its file, the width and height of that, px, its name, and its
+    pose (4, 4).
+
+    Raises:
+        InputError: the file does not go all the way round.
+        ValueError: the pose is none.
+    """
+    width, height = size
     if not is_panorama(width, height):
         raise InputError(
-            f"{panorama.path}: is {width}x{height} pixels, but a panorama that goes all the way round is"
+            f"{path}: is {width}x{height} pixels, but a panorama that goes all the way round is"
             " twice as wide as it is high; cut it into views of a pinhole camera"
         )
-    side, (stem, suffix) = side_of(width), os.path.splitext(panorama.name)
+    side, (stem, suffix) = side_of(width), os.path.splitext(name)
     for face, R_panorama_face in FACES.items():
-        world_to_face = panorama.camera.world_to_camera.copy()
+        world_to_face = world_to_camera.copy()
         world_to_face[:3] = R_panorama_face.T @ world_to_face[:3]
-        name = f"{stem}_{face}{suffix}"
+        face_name = f"{stem}_{face}{suffix}"
         camera = Camera(
             width=side,
             height=side,
@@ -84,6 +91,14 @@ def faces_of(panorama: PosedPhoto) -> Iterator[PosedPhoto]:
             cx=side / 2,
             cy=side / 2,
             world_to_camera=world_to_face,
-            name=name,
+            name=face_name,
         )
-        yield replace(panorama, name=name, camera=camera, face=face)
+        yield PosedPhoto(name=face_name, path=path, camera=camera, mask=mask, held_out=held_out, face=face)
+
+
+def lines_about(entries: Sequence[PosedPhoto]) -> list[str]:
+    """What is said about panoramas among photos; nothing where there are none."""
+    panoramas = sum(entry.face is not None for entry in entries) // len(FACES)
+    return (
+        [f"{panoramas} panoramas are cut into {len(FACES)} photos each, 90 degrees wide"] if panoramas else []
+    )

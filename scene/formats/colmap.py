@@ -20,6 +20,7 @@ import numpy as np
 from splatview.scene.camera import Camera
 from splatview.scene.errors import InputError
 from splatview.scene.formats.io import excerpt, open_regular, require_regular_file
+from splatview.scene.formats.panorama import side_of
 from splatview.scene.lens import COUNTS, Lens
 from splatview.scene.progress import NO_PROGRESS, Progress
 from splatview.scene.projection import rotation_matrices
@@ -43,10 +44,28 @@ MODELS = (
     "RADIAL_FISHEYE",
     "THIN_PRISM_FISHEYE",
     "RAD_TAN_THIN_PRISM_FISHEYE",
+    "SIMPLE_DIVISION",
+    "DIVISION",
+    "SIMPLE_FISHEYE",
+    "FISHEYE",
+    "EUCM",
+    "EQUIRECTANGULAR",
 )
-"""Lens models by COLMAP's number."""
+"""Camera models by COLMAP's number."""
 
-ONE_FOCAL_LENGTH = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
+PANORAMAS = {"EQUIRECTANGULAR": 2, "SPHERICAL": 2, "SPHERE": 3}
+"""Models of pictures that go all the way round, and how many parameters a row has, which say nothing: the
+size again, or a focal length and the middle. COLMAP's own name, an earlier one, and SphereSfM's."""
+
+ONE_FOCAL_LENGTH = {
+    "SIMPLE_PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "SIMPLE_DIVISION",
+    "SIMPLE_FISHEYE",
+}
 """Models that begin with f, cx, cy; the others begin with fx, fy, cx, cy. The distortion follows."""
 
 
@@ -61,6 +80,8 @@ class ColmapCamera:
     cx: float
     cy: float
     lens: Lens
+    panorama: bool = False
+    """Whether the picture goes all the way round; all else is of what is ahead then, 90 degrees wide."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,19 +140,24 @@ def image_camera(image: ColmapImage, lens: ColmapCamera, path: Path) -> Camera:
         matrix = np.eye(4)
         matrix[:3, :3] = rotation_matrices(np.array([image.quat]))[0]
         matrix[:3, 3] = image.translation
-        return Camera(**vars(lens), world_to_camera=matrix, name=image.name)
+        intrinsics = {name: value for name, value in vars(lens).items() if name != "panorama"}
+        return Camera(**intrinsics, world_to_camera=matrix, name=image.name)
     except ValueError as error:
         raise InputError(f"{path}: image {excerpt(image.name)}: {error}") from None
 
 
 def _distortion_notes(intrinsics: dict[int, ColmapCamera], images: Sequence[ColmapImage]) -> list[str]:
-    """A line about each lens in use that is more than a pinhole."""
-    numbers = sorted({image.camera_id for image in images})
-    return [
-        f"camera {number} has the lens {intrinsics[number].lens}; its views are drawn through it"
-        for number in numbers
-        if not intrinsics[number].lens.is_pinhole
-    ]
+    """A line about each camera in use that is more than a pinhole."""
+    notes = []
+    for number in sorted({image.camera_id for image in images}):
+        camera = intrinsics[number]
+        if camera.panorama:
+            notes.append(
+                f"camera {number} is panoramic; of its views what is ahead is drawn, 90 degrees wide"
+            )
+        elif not camera.lens.is_pinhole:
+            notes.append(f"camera {number} has the lens {camera.lens}; its views are drawn through it")
+    return notes
 
 
 def find_model(path: Path) -> tuple[Path, Path]:
@@ -216,12 +242,14 @@ def _focal_lengths(model: str) -> int:
 
 def _parameters(model: str) -> int:
     """All that a row has: focal lengths, principal point, distortion."""
-    return _focal_lengths(model) + 2 + COUNTS[model]
+    return PANORAMAS.get(model) or _focal_lengths(model) + 2 + COUNTS[model]
 
 
 def _lens(model: str, width: int, height: int, params: Sequence[float], path: Path) -> ColmapCamera:
     if not all(map(math.isfinite, params)):
         raise InputError(f"{path}: a {model} camera has parameters that are not finite")
+    if model in PANORAMAS:
+        return _ahead(width)
     focals = _focal_lengths(model)
     try:
         lens = Lens(model=model, parameters=tuple(params[focals + 2 :]))
@@ -235,6 +263,22 @@ def _lens(model: str, width: int, height: int, params: Sequence[float], path: Pa
         cx=params[focals],
         cy=params[focals + 1],
         lens=lens,
+    )
+
+
+def _ahead(width: int) -> ColmapCamera:
+    """What is ahead of a panorama so wide, px."""
+    side = side_of(width)
+    half = side / 2
+    return ColmapCamera(
+        width=side,
+        height=side,
+        fx=half,
+        fy=half,
+        cx=half,
+        cy=half,
+        lens=Lens(model="PINHOLE"),
+        panorama=True,
     )
 
 
@@ -266,7 +310,7 @@ def _cameras_text(file: io.BufferedReader, path: Path) -> dict[int, ColmapCamera
         if not words or words[0].startswith("#"):
             continue
         model = words[1] if len(words) > 1 else ""
-        if model not in MODELS:
+        if model not in MODELS and model not in PANORAMAS:
             raise InputError(f"{path}: unknown camera model in the line {excerpt(' '.join(words))}")
         try:
             number, width, height = int(words[0]), int(words[2]), int(words[3])

@@ -1,7 +1,8 @@
-"""Pictures that go all the way round, for backgrounds."""
+"""Pictures that go all the way round, for backgrounds, and how finely they show what is ahead."""
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 
@@ -21,6 +22,12 @@ made to fill the memory."""
 
 ALWAYS_HELD = 2**20
 """Pixels that any file may say it has."""
+
+
+def side_of(width: int) -> int:
+    """Pixels each way of a face of the cube around a panorama so wide: as many to an angle in its middle as
+    there, along the horizon, so that nothing is lost."""
+    return max(round(width / math.pi), 1)
 
 
 def load_panorama(path: Path, *, up: tuple[float, float, float] = WORLD_UP) -> Panorama:

@@ -1,6 +1,7 @@
 // Where a lens puts the ray (u, v) = t.xy / t.z, and the derivative of that: scene/lens_formula.py.
 
 uniform vec2 u_lens_bend;     // slope (0: no fisheye) and unit
+uniform vec2 u_lens_unified;  // alpha (0: no unified camera) and beta
 uniform vec3 u_lens_stretch;  // n1, n2, n3
 uniform vec3 u_lens_higher;   // n4, n5, n6
 uniform vec3 u_lens_divide;   // d1, d2, d3
@@ -9,7 +10,7 @@ uniform vec4 u_lens_prism;    // s1, s2, s3, s4
 uniform bool u_lens_skew_last;
 uniform float u_lens_reach;   // greatest r² that the lens maps, or the largest number
 
-const float LEAST_RADIUS_SQUARED = 1e-16;
+const float LEAST_RADIUS_SQUARED = 1e-16, LEAST_RHO_SQUARED = 1e-5;
 const float LEAST_BEND = 0.41421356, MOST_BEND = 2.41421356;  // tan of 22.5 and 67.5 degrees
 
 // The angle of a slope that is at least 0, to 1e-7: drivers may be off by 2e-4, a tenth of a pixel.
@@ -30,8 +31,13 @@ float lens_angle(float slope) {
 // r, and the magnifications across and along the radius.
 vec3 lens_magnifications(vec2 ray) {
     float rr = max(dot(ray, ray), LEAST_RADIUS_SQUARED), r = sqrt(rr), slope = u_lens_bend.x;
-    if (!(slope > 0.0)) return vec3(r, 1.0, 1.0);
-    return vec3(r, lens_angle(slope * r) / (u_lens_bend.y * r), slope / (u_lens_bend.y * (1.0 + slope * slope * rr)));
+    if (slope > 0.0)
+        return vec3(r, lens_angle(slope * r) / (u_lens_bend.y * r), slope / (u_lens_bend.y * (1.0 + slope * slope * rr)));
+    float alpha = u_lens_unified.x;
+    if (!(alpha > 0.0)) return vec3(r, 1.0, 1.0);
+    float rho = sqrt(max(1.0 + u_lens_unified.y * rr, LEAST_RHO_SQUARED));
+    float g = 1.0 / (1.0 - alpha + alpha * rho);
+    return vec3(r, g, g * g * (1.0 - alpha + alpha / rho));
 }
 
 // N / D and its derivative by q.

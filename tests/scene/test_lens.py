@@ -25,8 +25,11 @@ def lens(model: str, parameters) -> Lens:
 
 
 def random_lens(model: str, seed: int, size: float = 0.02) -> Lens:
+    rng = np.random.default_rng(seed)
+    if model == "EUCM":
+        return lens(model, (rng.uniform(0, 1), rng.uniform(0.2, 2)))
     size = size if model != "FOV" else 0.9
-    return lens(model, np.random.default_rng(seed).uniform(-size, size, COUNTS[model]))
+    return lens(model, rng.uniform(-size, size, COUNTS[model]))
 
 
 @pytest.mark.parametrize("model", COUNTS)
@@ -121,6 +124,15 @@ THETA = np.arctan(R)
                 V / R * THETA + 2 * 0.01 * U * V / RR * THETA**2 + 0.3 * THETA**2 + 0.4 * THETA**4,
             ),
         ),
+        ("SIMPLE_FISHEYE", [], (U / R * THETA, V / R * THETA)),
+        ("FISHEYE", [], (U / R * THETA, V / R * THETA)),
+        # What a division lens does to a distorted point is the definition: divide it by 1 + k·r².
+        ("SIMPLE_DIVISION", [0.3], tuple(x * (1 - np.sqrt(1 - 1.2 * RR)) / (0.6 * RR) for x in (U, V))),
+        ("DIVISION", [-0.3], tuple(x * (1 - np.sqrt(1 + 1.2 * RR)) / (-0.6 * RR) for x in (U, V))),
+        ("EUCM", [0.6, 1.5], tuple(x / (0.6 * np.sqrt(1.5 * RR + 1) + 0.4) for x in (U, V))),
+        # By COLMAP 4.2: `pycolmap.Camera.img_from_cam` of (0.3, -0.4, 1), for focal lengths of 1.
+        ("DIVISION", [-0.3], (0.2803508501982759, -0.37380113359770123)),
+        ("EUCM", [0.6, 1.5], (0.2718468931106099, -0.36246252414747987)),
     ],
 )
 def test_by_definition(model, k, expected):
@@ -135,7 +147,8 @@ def test_derivatives_are_those_of_finite_differences(model, seed):
     """First derivatives by differences of points, second ones by differences of first ones, of strong lenses.
 
     Central differences with a step of 1e-5 are good to 1e-9 of numbers about 1. Beside a pole of a rational
-    lens numbers grow without bounds, and differences are worth less: such points are left out.
+    lens, or of a division's derivative, numbers grow without bounds, and differences are worth less: such
+    points are left out.
     """
     a_lens = random_lens(model, seed, 0.2)
     form = a_lens.form
@@ -149,7 +162,7 @@ def test_derivatives_are_those_of_finite_differences(model, seed):
     bending = lens_bending(form, u, v, *magnifications(form, u * u + v * v), *along.T)
     # Where numbers do not depend on the point they are plain floats.
     bending = np.stack(np.broadcast_arrays(*bending), axis=-1).reshape(-1, 2, 2)
-    usual = (np.abs(bends) < 100).all(axis=(1, 2))
+    usual = (np.abs(bends) < 100).all(axis=(1, 2)) & (1 + form.beta * (u * u + v * v) > 0.01)
     assert usual.sum() >= 10
     np.testing.assert_allclose((J @ along[:, :, None])[usual, :, 0], changes[usual], rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(bending[usual], bends[usual], rtol=1e-6, atol=1e-6)
@@ -194,6 +207,13 @@ def test_the_reach_is_where_the_polynomial_turns_back():
     assert lens("FULL_OPENCV", [0, 0, 0, 0, 0, -0.2, 0, 0]).valid_radius == pytest.approx(
         np.sqrt(5), rel=1e-9
     )
+    # Of division rays end where 4·k·r² = 1, and nothing of what is farther out is seen.
+    division = lens("DIVISION", [0.1])
+    assert division.valid_radius == pytest.approx(np.sqrt(2.5), rel=1e-5)
+    assert np.isnan(undistort(np.array([[3.2, 0.0]]), division)).all()
+    assert np.isfinite(undistort(np.array([[3.1, 0.0]]), division)).all()
+    assert lens("DIVISION", [-0.1]).valid_radius == FISHEYE_RADIUS
+    assert lens("EUCM", [0.6, 1.5]).valid_radius == FISHEYE_RADIUS
     assert lens("OPENCV", [0.1, 0.1, 0, 0]).valid_radius == np.inf
     assert lens("OPENCV_FISHEYE", [0.01, 0, 0, 0]).valid_radius == FISHEYE_RADIUS
 
@@ -218,6 +238,9 @@ def test_a_fisheye_without_distortion_is_no_pinhole():
     assert not lens("FOV", [0.9]).is_pinhole
     assert lens("FOV", [0.0]).is_pinhole
     assert lens("OPENCV", [0, 0, 0, 0]).is_pinhole
+    assert not lens("FISHEYE", []).is_pinhole
+    assert lens("DIVISION", [0.0]).is_pinhole and not lens("DIVISION", [0.01]).is_pinhole
+    assert lens("EUCM", [0.0, 1.0]).is_pinhole and not lens("EUCM", [0.5, 1.0]).is_pinhole
 
 
 @pytest.mark.parametrize(
@@ -226,6 +249,8 @@ def test_a_fisheye_without_distortion_is_no_pinhole():
         ("EQUIRECTANGULAR", (), "unknown lens model 'EQUIRECTANGULAR'"),
         ("OPENCV", (0.1,), "a OPENCV lens has 4 parameters, got 1"),
         ("FOV", (4.0,), "below pi"),
+        ("EUCM", (1.1, 1.0), "alpha of an EUCM lens must be from 0 to 1"),
+        ("EUCM", (0.5, 0.0), "beta above 0, got 0.5 and 0.0"),
         ("RADIAL", (0.1, float("nan")), "must be finite"),
     ],
 )

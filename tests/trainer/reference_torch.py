@@ -10,7 +10,13 @@ import numpy as np
 import torch
 
 from splatview.scene import Camera, Gaussians, RenderSettings
-from splatview.scene.lens_formula import LEAST_RADIUS_SQUARED, LensForm, lens_jacobian, lens_point
+from splatview.scene.lens_formula import (
+    LEAST_RADIUS_SQUARED,
+    LEAST_RHO_SQUARED,
+    LensForm,
+    lens_jacobian,
+    lens_point,
+)
 from splatview.scene.projection import project
 from splatview.scene.sh import SH_C0, SH_C1, SH_C2, SH_C3
 
@@ -80,6 +86,10 @@ def render(
 def _magnifications(form: LensForm, u: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
     """r, g and g_r of `scene.lens_formula`."""
     r = (u * u + v * v).clamp_min(LEAST_RADIUS_SQUARED).sqrt()
+    if form.alpha:
+        rho = (1 + form.beta * r * r).clamp_min(LEAST_RHO_SQUARED).sqrt()
+        g = 1 / (1 - form.alpha + form.alpha * rho)
+        return r, g, g * g * (1 - form.alpha + form.alpha / rho)
     if not form.slope:
         return r, torch.ones_like(r), torch.ones_like(r)
     return (

@@ -40,6 +40,8 @@ LENSES = {
     "FOV": (1.2,),
     "THIN_PRISM_FISHEYE": (0.03, 0.01, 0.01, -0.02, 0.0, 0.01, 0.02, -0.01),
     "RAD_TAN_THIN_PRISM_FISHEYE": (0.03, 0.01, -0.01, 0.02, 0.0, 0.01, 0.01, -0.02, 0.02, 0.01, -0.01, 0.02),
+    "DIVISION": (0.1,),
+    "EUCM": (0.6, 1.3),
 }
 """Strong ones, each with a part of the formula that the others lack."""
 
@@ -206,7 +208,13 @@ def test_parallel_rays(random_gaussians, antialiased):
 )
 def test_any_lens(random_gaussians, seed, model, strength):
     rng = np.random.default_rng(seed)
-    parameters = rng.uniform(-strength, strength, COUNTS[model]) if model != "FOV" else [7 * strength]
+    match model:
+        case "FOV":
+            parameters = [7 * strength]
+        case "EUCM":
+            parameters = [6 * strength, 1 + rng.uniform(-strength, strength)]
+        case _:
+            parameters = rng.uniform(-strength, strength, COUNTS[model])
     lens = Lens(model=model, parameters=tuple(map(float, parameters)))
     camera = replace(look_at((0.1, 0, -1.5), (0, 0, 0), width=30, height=24, fov_y=100), lens=lens)
     assert_gradients(random_gaussians(60, sh_degree=1, seed=seed), camera)

@@ -54,6 +54,8 @@ LENSES = (
     Lens(model="OPENCV_FISHEYE", parameters=(0.03, -0.01, 0.002, 0.0)),
     Lens(model="FULL_OPENCV", parameters=(0.1, 0.02, 0.001, 0.002, 0.01, 0.2, 0.03, 0.001)),
     Lens(model="FOV", parameters=(0.9,)),
+    Lens(model="DIVISION", parameters=(0.1,)),
+    Lens(model="EUCM", parameters=(0.6, 1.3)),
     Lens(model="THIN_PRISM_FISHEYE", parameters=(0.02, -0.01, 0.001, -0.001, 0.002, 0.0, 0.001, -0.001)),
 )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,35 @@ def write(folder: Path, count: int = 9, suffix: str = ".png", **more: Any) -> li
     return poses
 
 
+def write_colmap(folder: Path, *, text: bool) -> list[np.ndarray]:
+    """The capture of `write` as COLMAP has it, whose cameras look along z, y down; and its poses."""
+    poses = write(folder)
+    (folder / "transforms.json").unlink()
+    model = folder / "sparse/0"
+    model.mkdir(parents=True)
+    size = (WIDTH, WIDTH // 2)
+    rows = []
+    for i, matrix in enumerate(poses):
+        world_to_camera = np.linalg.inv(matrix @ np.diag([1.0, -1.0, -1.0, 1.0]))
+        R = world_to_camera[:3, :3]
+        w = math.sqrt(1 + np.trace(R)) / 2
+        quat = (w, *(np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / (4 * w)))
+        rows.append((f"p{i}.png", (*quat, *world_to_camera[:3, 3])))
+    if text:
+        (model / "cameras.txt").write_text(f"1 EQUIRECTANGULAR {size[0]} {size[1]} {size[0]} {size[1]}\n")
+        lines = [
+            f"{i} {' '.join(map(str, map(float, pose)))} 1 {name}\n\n" for i, (name, pose) in enumerate(rows)
+        ]
+        (model / "images.txt").write_text("".join(lines))
+        return poses
+    (model / "cameras.bin").write_bytes(struct.pack("<QIiQQ2d", 1, 1, 17, *size, *size))
+    data = struct.pack("<Q", len(rows))
+    for i, (name, pose) in enumerate(rows):
+        data += struct.pack("<I7dI", i, *pose, 1) + name.encode() + b"\0" + struct.pack("<Q", 0)
+    (model / "images.bin").write_bytes(data)
+    return poses
+
+
 def expected(camera: Any) -> np.ndarray:
     """(H, W, 3) uint8: what a photo's camera sees of the world."""
     x, y = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
@@ -81,6 +111,18 @@ def test_each_face_shows_what_its_camera_sees(tmp_path, downscale, suffix, toler
         assert np.linalg.norm(eyes - photo.camera.eye, axis=1).min() < 1e-9
         difference = photo.image().astype(int) - expected(photo.camera)
         assert abs(difference).max() <= tolerance, photo.name
+    assert "9 panoramas are cut into 6 photos each, 90 degrees wide" in capture.warnings
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_colmap_has_panoramas_too(tmp_path, text):
+    poses = write_colmap(tmp_path, text=text)
+    (tmp_path / "sparse/0/test.txt").write_text("p3.png\n")
+    capture = load_capture(tmp_path)
+    assert len(capture.photos) == len(FACES) * len(poses)
+    for photo in capture.photos:
+        assert abs(photo.image().astype(int) - expected(photo.camera)).max() <= 2, photo.name
+    assert [photo.name for photo in capture.held_out] == sorted(f"p3_{face}.png" for face in FACES)
     assert "9 panoramas are cut into 6 photos each, 90 degrees wide" in capture.warnings
 
 

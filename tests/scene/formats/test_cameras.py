@@ -219,7 +219,14 @@ MODELS = {
     "RADIAL_FISHEYE": (9, (70.0, 40.0, 30.0, 0.1, 0.2)),
     "THIN_PRISM_FISHEYE": (10, (70.0, 80.0, 40.0, 30.0, *(0.1,) * 8)),
     "RAD_TAN_THIN_PRISM_FISHEYE": (11, (70.0, 80.0, 40.0, 30.0, *(0.01,) * 12)),
+    "SIMPLE_DIVISION": (12, (70.0, 40.0, 30.0, -0.1)),
+    "DIVISION": (13, (70.0, 80.0, 40.0, 30.0, -0.1)),
+    "SIMPLE_FISHEYE": (14, (70.0, 40.0, 30.0)),
+    "FISHEYE": (15, (70.0, 80.0, 40.0, 30.0)),
+    "EUCM": (16, (70.0, 80.0, 40.0, 30.0, 0.6, 1.1)),
 }
+
+PANORAMA = "EQUIRECTANGULAR"
 
 Image = tuple[str, int, Camera]
 
@@ -274,6 +281,30 @@ def test_colmap_models(tmp_path, text, model):
         assert [camera.lens for camera in cameras] == [Lens(model=model, parameters=parameters)] * 3
 
 
+@pytest.mark.parametrize("text", [False, True])
+def test_of_panoramas_what_is_ahead_is_a_view(tmp_path, monkeypatch, text):
+    monkeypatch.setitem(MODELS, PANORAMA, (17, (97.0, 53.0)))
+    write_model(tmp_path, [(1, PANORAMA)], [("a.jpg", 1, some_camera())], text=text)
+    notes: list[str] = []
+    (camera,) = load_cameras(tmp_path, on_note=notes.append)
+    # 97 px are 360 degrees: 31 are what 90 degrees have, at as many to an angle in the middle.
+    assert (camera.width, camera.height, camera.lens) == (31, 31, None)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (15.5, 15.5, 15.5, 15.5)
+    assert np.allclose(camera.world_to_camera, some_camera().world_to_camera, atol=1e-9)
+    assert len(notes) == 1 and "camera 1 is panoramic" in notes[0]
+
+
+@pytest.mark.parametrize(("name", "count"), [("SPHERICAL", 2), ("SPHERE", 3)])
+def test_other_programs_names_of_panoramas(tmp_path, name, count):
+    write_model(tmp_path, [(1, "PINHOLE")], [("a.jpg", 1, some_camera())], text=True)
+    for numbers in range(1, 5):
+        (tmp_path / "cameras.txt").write_text(f"1 {name} 97 53 {'1 ' * numbers}\n")
+        if numbers == count:
+            assert load_cameras(tmp_path)[0].width == 31
+        else:
+            assert f"is no {name} camera" in refused(tmp_path)
+
+
 def test_colmap_by_any_of_its_paths(tmp_path):
     images = [("a", 1, some_camera())]
     write_model(tmp_path / "sparse" / "0", [(1, "PINHOLE")], images, text=False)
@@ -315,7 +346,7 @@ def test_colmap_parts_missing(tmp_path):
 def test_colmap_unknown_model_and_no_images(tmp_path):
     write_model(tmp_path, [(1, "PINHOLE")], [("a", 1, some_camera())], text=False)
     lens = (tmp_path / "cameras.bin").read_bytes()
-    for number in (-1, 12, 99):
+    for number in (-1, 18, 99):
         (tmp_path / "cameras.bin").write_bytes(lens[:12] + struct.pack("<i", number) + lens[16:])
         assert f"unknown model {number}" in refused(tmp_path)
     write_model(tmp_path, [(1, "PINHOLE")], [], text=False)
