@@ -1,6 +1,6 @@
 # make run    install into .venv and open the viewer on the bundled demo (no display: a preview PNG)
 # make test   install, then format, lint, types and tests
-# make check  format, lint and types only
+# make check  format, lint and types only; make tests   tests only
 # make test JOBS=1   the same in one process (2 otherwise)
 # make soak   MINUTES (60) of a user at random, in real windows
 
@@ -17,12 +17,16 @@ unexport PYTHONDONTWRITEBYTECODE
 # Without the build's warning that an editable installation is one.
 INSTALL := PYTHONWARNINGS=ignore $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: run test test-all check format soak system-run system-test tables pictures clean
+.PHONY: run test tests test-all check format soak system-run system-test tables pictures clean
 
 run: $(VENV)/.run-installed | system-run
 	@$(BIN)/splatview $(SCENE)
 
-test: check | system-test
+# Types take three minutes of one core, so that tests run beside them.
+test: $(VENV)/.dev-installed | system-test
+	@$(MAKE) --no-print-directory --jobs $(JOBS) check tests
+
+tests: $(VENV)/.dev-installed | system-test
 	@$(BIN)/python -m pytest -q $(SHARED)
 
 test-all: check | system-test
