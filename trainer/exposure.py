@@ -56,7 +56,7 @@ Nor do places that photos share tell vignetting before the first step. By them c
 `banana` (3 % standard error), 10 % on `miku` (2 %) and 38 % on `desk` (5 %), but also by 16 % on `playbot
 close 80` (5 %) and -96 % on `guitar front 36` (22 %), which have none. With photos brightened by that, and
 pictures darkened again, a minute of split 0 of `desk` has 31.48 dB after a fit in place of 33.14, and of
-`banana` 27.88 in place of 27.32.
+three splits of `banana` 26.98 in place of 26.78 and an SSIM of 0.704 in place of 0.717.
 
 A held-out photo has an exposure too, which nobody has trained. Where gains are learnt it is measured after
 a fit to most of its pixels: those of the white tiles of a chessboard with the gain and offset of the black
