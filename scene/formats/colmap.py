@@ -249,6 +249,11 @@ def _lens(model: str, width: int, height: int, params: Sequence[float], path: Pa
     if not all(map(math.isfinite, params)):
         raise InputError(f"{path}: a {model} camera has parameters that are not finite")
     if model in PANORAMAS:
+        if width != 2 * height or height < 1:
+            raise InputError(
+                f"{path}: a {model} camera is {width} x {height} pixels large; a panorama that goes all"
+                " the way round is twice as wide as it is high"
+            )
         return _ahead(width)
     focals = _focal_lengths(model)
     try:

@@ -232,12 +232,20 @@ Image = tuple[str, int, Camera]
 
 
 def write_model(
-    folder: Path, lenses: Sequence[tuple[int, str]], images: Sequence[Image], *, text: bool
+    folder: Path,
+    lenses: Sequence[tuple[int, str]],
+    images: Sequence[Image],
+    *,
+    text: bool,
+    size: tuple[int, int] = (97, 53),
 ) -> None:
-    """A COLMAP model of 97x53 cameras; images have some 2D points, the second none."""
+    """A COLMAP model of cameras of one size; images have some 2D points, the second none."""
     folder.mkdir(parents=True, exist_ok=True)
     if text:
-        rows = [f"{number} {name} 97 53 {' '.join(map(str, MODELS[name][1]))}\n" for number, name in lenses]
+        rows = [
+            f"{number} {name} {size[0]} {size[1]} {' '.join(map(str, MODELS[name][1]))}\n"
+            for number, name in lenses
+        ]
         (folder / "cameras.txt").write_text("# cameras\n" + "".join(rows))
         lines = ["# images\n"]
         for i, (name, lens, camera) in enumerate(images):
@@ -249,7 +257,7 @@ def write_model(
     data = struct.pack("<Q", len(lenses))
     for number, name in lenses:
         model, params = MODELS[name]
-        data += struct.pack(f"<IiQQ{len(params)}d", number, model, 97, 53, *params)
+        data += struct.pack(f"<IiQQ{len(params)}d", number, model, *size, *params)
     (folder / "cameras.bin").write_bytes(data)
     data = struct.pack("<Q", len(images))
     for i, (name, lens, camera) in enumerate(images):
@@ -283,22 +291,30 @@ def test_colmap_models(tmp_path, text, model):
 
 @pytest.mark.parametrize("text", [False, True])
 def test_of_panoramas_what_is_ahead_is_a_view(tmp_path, monkeypatch, text):
-    monkeypatch.setitem(MODELS, PANORAMA, (17, (97.0, 53.0)))
-    write_model(tmp_path, [(1, PANORAMA)], [("a.jpg", 1, some_camera())], text=text)
+    monkeypatch.setitem(MODELS, PANORAMA, (17, (98.0, 49.0)))
+    write_model(tmp_path, [(1, PANORAMA)], [("a.jpg", 1, some_camera())], text=text, size=(98, 49))
     notes: list[str] = []
     (camera,) = load_cameras(tmp_path, on_note=notes.append)
-    # 97 px are 360 degrees: 31 are what 90 degrees have, at as many to an angle in the middle.
+    # 98 px are 360 degrees: 31 are what 90 degrees have, at as many to an angle in the middle.
     assert (camera.width, camera.height, camera.lens) == (31, 31, None)
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (15.5, 15.5, 15.5, 15.5)
     assert np.allclose(camera.world_to_camera, some_camera().world_to_camera, atol=1e-9)
     assert len(notes) == 1 and "camera 1 is panoramic" in notes[0]
 
 
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("size", [(97, 53), (49, 98), (0, 0)])
+def test_a_panorama_of_another_shape_is_refused(tmp_path, monkeypatch, size, text):
+    monkeypatch.setitem(MODELS, PANORAMA, (17, (98.0, 49.0)))
+    write_model(tmp_path, [(1, PANORAMA)], [("a.jpg", 1, some_camera())], text=text, size=size)
+    assert "twice as wide as it is high" in refused(tmp_path)
+
+
 @pytest.mark.parametrize(("name", "count"), [("SPHERICAL", 2), ("SPHERE", 3)])
 def test_other_programs_names_of_panoramas(tmp_path, name, count):
     write_model(tmp_path, [(1, "PINHOLE")], [("a.jpg", 1, some_camera())], text=True)
     for numbers in range(1, 5):
-        (tmp_path / "cameras.txt").write_text(f"1 {name} 97 53 {'1 ' * numbers}\n")
+        (tmp_path / "cameras.txt").write_text(f"1 {name} 98 49 {'1 ' * numbers}\n")
         if numbers == count:
             assert load_cameras(tmp_path)[0].width == 31
         else:
